@@ -11,7 +11,7 @@ from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.html_summary import MOST_ROWS, SummaryTable, html_summary
 from wlr_render.mappings import Eye
-from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
+from wlr_render.models.absent import ABSENT_DISPLAY, ABSENT_SEE_THROUGH
 from wlr_render.models.model_file import EyeModel
 from wlr_render.optics.device_file import load_device
 from wlr_render.report.blocks import Report, ReportTable
@@ -65,7 +65,7 @@ def test_a_model_states_what_it_was_fitted_to_and_how_well(eye):
 
 
 def test_a_model_of_one_side_or_with_a_strange_report_is_shown_too(eye):
-    absent = replace(eye, display=AbsentDisplay(), see_through=AbsentSeeThrough())
+    absent = replace(eye, display=ABSENT_DISPLAY, see_through=ABSENT_SEE_THROUGH)
     assert shown(model(absent)).count("not calibrated") == 3
     assert shown(model(eye, {"display": [1], "see_through": {"viewpoints": HOSTILE}})).count("-") == 6
 

@@ -9,7 +9,7 @@ each other.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Annotated, Protocol, TypeVar, runtime_checkable
+from typing import Annotated, Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -271,11 +271,10 @@ def middle_channel(channels: Sequence[_OfChannel]) -> _OfChannel:
     return channels[len(channels) // 2]
 
 
-@runtime_checkable
 class PlanarDisplay(Protocol):
     """Protocol of display mappings that a shader can solve: tangents of a pixel on a base plane.
 
-    A viewpoint sees a pixel under the tangents t(pixel, p~) with p~ = base_plane.carry(viewpoint, t).
+    A viewpoint sees a pixel under the tangents t(pixel, p~) with p~ = place.carry(viewpoint, t).
     """
 
     @property
@@ -287,7 +286,7 @@ class PlanarDisplay(Protocol):
         """Eye box; a viewpoint more than `EYE_BOX_MARGIN` outside it is OUTSIDE_FIT."""
 
     @property
-    def base_plane(self) -> BasePlane:
+    def place(self) -> BasePlane:
         """Base plane of p~."""
 
     @property
@@ -295,11 +294,10 @@ class PlanarDisplay(Protocol):
         """Polynomial (u px, v px, x m, y m) -> (tx, ty)."""
 
 
-@runtime_checkable
 class PlanarSeeThrough(Protocol):
     """Protocol of see-through mappings that a shader can evaluate: deviation from the straight ray.
 
-    With p~ = base_plane.carry(viewpoint, t) the ray in the world passes through (p~ + B, z of the plane at p~) with
+    With p~ = place.carry(viewpoint, t) the ray in the world passes through (p~ + B, z of the plane at p~) with
     tangents t + A: B is an offset at constant z, also on a tilted plane.
     """
 
@@ -308,12 +306,21 @@ class PlanarSeeThrough(Protocol):
         """Eye box; a viewpoint more than `EYE_BOX_MARGIN` outside it is OUTSIDE_FIT."""
 
     @property
-    def base_plane(self) -> BasePlane:
+    def place(self) -> BasePlane:
         """Base plane of p~, not necessarily the display's."""
 
     @property
     def deviation(self) -> Polynomial:
         """Polynomial (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m)."""
+
+
+def is_planar(mappings: Eye) -> bool:
+    """Return whether an eye has planar models of polynomials, on both sides."""
+    parts = ((mappings.display, "forward"), (mappings.see_through, "deviation"))
+    return all(
+        isinstance(getattr(side, "place", None), BasePlane) and isinstance(getattr(side, name), Polynomial)
+        for side, name in parts
+    )
 
 
 def require_planar(mappings: Eye) -> tuple[PlanarDisplay, PlanarSeeThrough]:
@@ -322,11 +329,10 @@ def require_planar(mappings: Eye) -> tuple[PlanarDisplay, PlanarSeeThrough]:
     Raises:
         BadInputError: the mappings are not planar models.
     """
-    display, see_through = mappings.display, mappings.see_through
-    if isinstance(display, PlanarDisplay) and isinstance(see_through, PlanarSeeThrough):
-        parts: tuple[object, object] = display.forward, see_through.deviation
-        if all(isinstance(part, Polynomial) for part in parts):
-            return display, see_through
-    raise BadInputError(
-        f"{mappings.name}: only planar models can be solved in a shader; use the node grid, or fit a planar model."
-    )
+    if not is_planar(mappings):
+        raise BadInputError(
+            f"{mappings.name}: only planar models can be solved in a shader; use the node grid, or fit a planar model."
+        )
+    display: Any = mappings.display
+    see_through: Any = mappings.see_through
+    return display, see_through

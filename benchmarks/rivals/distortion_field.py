@@ -17,7 +17,6 @@ structure "planar".
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from benchmarks.rivals.samples import Samples, least_squares
 from wlr_render.calibration.readings import FitReadings
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.fitted_model import Answer, FittedDisplay, Forms, joined
+from wlr_render.models.fitted_model import Answer, FittedDisplay, joined
 from wlr_render.models.inverse import solve_warm_then_cold
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
@@ -129,8 +128,6 @@ class DistortionFieldDisplay(FittedDisplay):
     eye_box: EyeBox
     field: Regressor
     forward_start: Polynomial
-
-    FORMS: ClassVar[Forms] = {}
 
     def _forward(self, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
         field_at = self.field.held((0, 1, 2), viewpoint)

@@ -23,7 +23,7 @@ from wlr_render.calibration.fit_prescription import FittedAssembly, Prescription
 from wlr_render.calibration.fit_see_through import SEE_THROUGH, fit_see_through
 from wlr_render.captures.correspondences import Captures
 from wlr_render.mappings import DisplayMapping, SeeThroughMapping
-from wlr_render.models.static import undeviated
+from wlr_render.models.see_through_model import undeviated
 from wlr_render.optics.assembly import ASSEMBLY_NAMES
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
@@ -110,7 +110,7 @@ class Method:
 
 def _numbers(*mappings: Any) -> int:
     """Numbers stored by fitted models."""
-    return sum(getattr(mapping, next(iter(mapping.FORMS))).numbers for mapping in mappings)
+    return sum(mapping.modelled.numbers for mapping in mappings)
 
 
 def _kind(kind: str, data: MethodData) -> Rival:

@@ -72,7 +72,7 @@ def direct_plane(captures: DisplayCaptures) -> PinholeDisplay:
 
     Adapted: the image is stored in homogeneous coordinates, so that it may lie at or beyond infinity; its axes need not
     be perpendicular; the fit minimises angles. The captures give the eye's position. The method ignores refraction in
-    the combiner: combine it with `models.static.undeviated`, or with a static see-through model.
+    the combiner: combine it with `models.see_through_model.undeviated`, or with a static see-through model.
 
     Raises:
         BadInputError: the captures do not determine the image.

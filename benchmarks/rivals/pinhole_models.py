@@ -6,13 +6,12 @@ infinity.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, joined
+from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, joined
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box
 
@@ -41,8 +40,6 @@ class PinholeDisplay(FittedDisplay):
     matrix: FloatArray
     inverse_depth: FloatArray
     numbers: int
-
-    FORMS: ClassVar[Forms] = {}
 
     def tangents(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
         """View tangents (m, 2) of pixels (m, 2) from viewpoints (m, 3) metres.
@@ -86,8 +83,6 @@ class FixedEyeSeeThrough(FittedSeeThrough):
     eye_box: EyeBox
     position: FloatArray
     eye: FloatArray
-
-    FORMS: ClassVar[Forms] = {}
 
     def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         eye = self.eye[_nearest(self.position, viewpoint)]

@@ -17,6 +17,7 @@ from wlr_render.calibration.readings import TREND_ALONE, angular_metric
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
+from wlr_render.models.model_place import VIEWPOINT
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import basis
@@ -43,7 +44,7 @@ def klemm_grid(captures: DisplayCaptures, columns: int = _COLUMNS, rows: int = _
         BadInputError: a camera position has too few readings, or fewer than two camera positions see a pixel.
     """
     plane = BasePlane(float(captures.eye_box.centre[2]))
-    readings = DISPLAY.kinds["volumetric"].readings(captures, plane, TREND_ALONE, None)
+    readings = DISPLAY.kinds["volumetric"].readings(captures, VIEWPOINT, TREND_ALONE, None)
     viewpoint, position = np.unique(captures.viewpoint, axis=0, return_inverse=True)
     position = position.reshape(-1)
     maps = PositionMaps.of(Samples(readings, position))

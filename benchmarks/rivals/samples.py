@@ -184,6 +184,7 @@ def fit_structure(
     used = side.nearest(captures) if how.at_one_position else captures
     plane = choose_base_plane(used.viewpoint, used.eye_box)
     side.check(used, structure, plane)
-    readings = how.readings(used, plane, TREND_ALONE, None)
+    place = how.place or plane
+    readings = how.readings(used, place, TREND_ALONE, None)
     regressor = fit(Samples(readings, np.unique(used.capture, return_inverse=True)[1]))
-    return how.model(used, plane, regressor, None), regressor
+    return how.model(used, place, regressor, None), regressor

@@ -56,7 +56,7 @@ def test_planar_fit_recovers_a_device_of_its_own_kind_from_any_distance(height):
 def test_base_plane_may_be_chosen():
     base_plane = dataclasses.replace(PLANE, z=PLANE.z + 0.001)
     mapping = fit_display(display_captures(positions_in_plane(30)), "planar", 5, base_plane).mapping
-    assert mapping.base_plane == base_plane
+    assert mapping.place == base_plane
     assert rms_arcmin(mapping) < 0.01
 
 
@@ -64,7 +64,7 @@ def test_base_plane_is_that_of_the_camera_positions():
     captures = display_captures(positions_in_plane(30))
     moved = EyeBox(EYE_BOX.centre + [0.0, 0.0, 0.001], EYE_BOX.size)
     mapping = fit_display(dataclasses.replace(captures, eye_box=moved), "planar", 2).mapping
-    assert mapping.base_plane == PLANE
+    assert mapping.place == PLANE
 
 
 def folded_captures(bulge):

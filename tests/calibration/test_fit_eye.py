@@ -16,8 +16,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
 from wlr_render.models.model_file import load_eye_model, save_eye_models
+from wlr_render.models.model_place import NOWHERE
 from wlr_render.models.spread import PRESCRIPTION
-from wlr_render.models.static import StaticSeeThrough
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay, traced_eye
@@ -41,7 +41,7 @@ def test_eye_fit_names_what_it_is_and_goes_through_a_file(tmp_path):
 
 def test_point_per_pixel_goes_with_a_static_see_through():
     eye = calibrate(CAPTURES, "point-per-pixel", 3, 2)
-    assert isinstance(eye.mappings.see_through, StaticSeeThrough)
+    assert eye.mappings.see_through.place == NOWHERE
     assert (eye.display.kind, eye.see_through.kind) == ("point-per-pixel", "static")
 
 

@@ -25,7 +25,6 @@ from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.geometry.rays import at_z
 from wlr_render.mappings import EYE_BOX_MARGIN
-from wlr_render.models.bundle import solve_display
 from wlr_render.models.contraction import NEAREST_POINT_M, require_unique
 from wlr_render.models.inverse import Deviation
 
@@ -49,7 +48,7 @@ def small_steps():
 
 @pytest.mark.parametrize("plane", PLANES, ids=["untilted", "tilted"])
 def test_display_contraction_is_that_of_the_projection(plane):
-    display = dataclasses.replace(bundle_display(), base_plane=plane)
+    display = dataclasses.replace(bundle_display(), place=plane)
     viewpoint, step = viewpoints(), small_steps()
     place = RNG.uniform(*IN_PLANE, (COUNT, 2))
     pixel = np.where(RNG.random((COUNT, 2)) < 0.5, PIXELS[0], PIXELS[1])
@@ -66,7 +65,7 @@ def test_display_contraction_is_that_of_the_projection(plane):
 def test_see_through_contraction_is_that_of_its_rays(kind, plane):
     see_through = SEE_THROUGHS[kind]()
     if kind == "planar":
-        see_through = dataclasses.replace(see_through, base_plane=plane)
+        see_through = dataclasses.replace(see_through, place=plane)
     viewpoint, step = viewpoints(), small_steps()
     tangents = RNG.uniform(*TANGENTS, (COUNT, 2))
     depth = NEAREST_POINT_M * np.where(RNG.random(COUNT) < 0.5, 1.0, 1e6)
@@ -122,7 +121,7 @@ def test_a_model_with_two_solutions_is_found_out():
     display = folded_display()
     viewpoint, pixel = np.array([[0.0316, 0.0, 0.023]] * 2), np.array([[500.0, 400.0]] * 2)
     assert EYE_BOX.contains(viewpoint).all()
-    root = solve_display(display.forward, PLANE, pixel, viewpoint, np.array([[0.0315, 0.0], [0.0385, 0.0]]))
+    root = display.solve_place(PLANE, pixel, viewpoint, np.array([[0.0315, 0.0], [0.0385, 0.0]]))
     assert root.converged.all()
     np.testing.assert_allclose(root.unknown[:, 0], [0.032, 0.038], atol=1e-9)
     assert display.forward.box.contains(np.hstack([pixel, root.unknown])).all()

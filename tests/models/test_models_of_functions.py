@@ -17,10 +17,9 @@ ANGLE = 1e-10  # radians: 3e-7 arcminutes
 
 def of_function(model):
     """The same model, made of a function without derivatives of its own."""
-    name = next(iter(model.FORMS))
-    polynomial = getattr(model, name)
+    polynomial = model.modelled
     function = NumericRegressor(polynomial, polynomial.box, polynomial.outputs, polynomial.numbers)
-    return replace(model, **{name: function})
+    return replace(model, **{model.MODELLED: function})
 
 
 @pytest.mark.parametrize("kind", ["planar", "volumetric", "static"])

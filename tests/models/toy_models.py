@@ -4,10 +4,10 @@ import numpy as np
 
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
+from wlr_render.models.display_model import DisplayModel
+from wlr_render.models.model_place import NOWHERE, VIEWPOINT
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
-from wlr_render.models.static import StaticDisplay, StaticSeeThrough
-from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
+from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 EYE_BOX = EyeBox(np.array([0.03, 0.0, 0.02]), np.array([0.010, 0.008, 0.006]))
@@ -59,11 +59,11 @@ def bend(inputs):
 
 def bundle_display():
     forward, backward = box(PIXELS, IN_PLANE), box(IN_PLANE, TANGENTS)
-    return BundleDisplay(PANEL, EYE_BOX, PLANE, polynomial(seen, forward, 2), polynomial(shown, backward, 2))
+    return DisplayModel(PANEL, EYE_BOX, PLANE, polynomial(seen, forward, 2), polynomial(shown, backward, 2))
 
 
 def bundle_see_through():
-    return BundleSeeThrough(EYE_BOX, PLANE, polynomial(bend, box(IN_PLANE, TANGENTS), 2))
+    return SeeThroughModel(EYE_BOX, PLANE, polynomial(bend, box(IN_PLANE, TANGENTS), 2))
 
 
 def volumetric_display():
@@ -74,9 +74,10 @@ def volumetric_display():
         moved = inputs[:, 3:] - 8.0 * (inputs[:, 2:3] - 0.02) * (inputs[:, :2] - 0.03)
         return shown(np.hstack([inputs[:, :2], moved]))
 
-    return VolumetricDisplay(
+    return DisplayModel(
         PANEL,
         EYE_BOX,
+        VIEWPOINT,
         polynomial(forward, box(PIXELS, IN_BOX), 2),
         polynomial(backward, box(IN_BOX, TANGENTS), 2),
     )
@@ -86,7 +87,7 @@ def volumetric_see_through():
     def forward(inputs):
         return bend(np.delete(inputs, 2, axis=1))
 
-    return VolumetricSeeThrough(EYE_BOX, polynomial(forward, box(IN_BOX, TANGENTS), 2))
+    return SeeThroughModel(EYE_BOX, VIEWPOINT, polynomial(forward, box(IN_BOX, TANGENTS), 2))
 
 
 def at_centre(function, first):
@@ -101,11 +102,13 @@ def at_centre(function, first):
 
 def static_display():
     forward, backward = at_centre(seen, True), at_centre(shown, False)
-    return StaticDisplay(PANEL, EYE_BOX, polynomial(forward, box(PIXELS), 1), polynomial(backward, box(TANGENTS), 1))
+    return DisplayModel(
+        PANEL, EYE_BOX, NOWHERE, polynomial(forward, box(PIXELS), 1), polynomial(backward, box(TANGENTS), 1)
+    )
 
 
 def static_see_through():
-    return StaticSeeThrough(EYE_BOX, polynomial(at_centre(bend, False), box(TANGENTS), 2))
+    return SeeThroughModel(EYE_BOX, NOWHERE, polynomial(at_centre(bend, False), box(TANGENTS), 2))
 
 
 def point_per_pixel_display():

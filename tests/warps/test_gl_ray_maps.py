@@ -54,8 +54,8 @@ def assert_same(field, expected):
 
 def with_planes_apart(eye):
     """The same display with a see-through whose base plane lies elsewhere: another mapping, not a better one."""
-    plane = BasePlane(eye.see_through.base_plane.z - 0.001)
-    return dataclasses.replace(eye, see_through=dataclasses.replace(eye.see_through, base_plane=plane))
+    plane = BasePlane(eye.see_through.place.z - 0.001)
+    return dataclasses.replace(eye, see_through=dataclasses.replace(eye.see_through, place=plane))
 
 
 def with_planes_tilted(eye):
@@ -63,7 +63,7 @@ def with_planes_tilted(eye):
 
     def tilted(mapping, slope):
         plane = BasePlane(eye.eye_box.centre[2] - np.dot(slope, eye.eye_box.centre[:2]), slope)
-        return dataclasses.replace(mapping, base_plane=plane)
+        return dataclasses.replace(mapping, place=plane)
 
     display, see_through = tilted(eye.display, (0.3, -0.2)), tilted(eye.see_through, (-0.1, 0.25))
     return dataclasses.replace(eye, display=display, see_through=see_through)

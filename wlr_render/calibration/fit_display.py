@@ -8,7 +8,6 @@ from wlr_render.calibration.model_kinds import ModelKind, Side
 from wlr_render.calibration.readings import (
     FitReadings,
     Limits,
-    Respond,
     Trend,
     angular_metric,
     common_of,
@@ -18,13 +17,12 @@ from wlr_render.calibration.readings import (
 from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.models.bundle import BundleDisplay
+from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.fitted_model import FittedDisplay
 from wlr_render.models.inverse import backward_start_of
+from wlr_render.models.model_place import NOWHERE, VIEWPOINT, ModelPlace
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.spread import Covariance
-from wlr_render.models.static import StaticDisplay
-from wlr_render.models.volumetric import VolumetricDisplay
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.regressor import Regressor
 
@@ -61,63 +59,40 @@ def fit_display(
     return DISPLAY.fit(captures, kind, degree, base_plane, trend, weights, stage)
 
 
-def _on_plane(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
-    tangents = captures.tangents
-    depth = plane.depth_along(captures.viewpoint, tangents)
-    carried = plane.carry_by_tangents(depth, tangents)
-    in_plane = captures.viewpoint[:, :2] + depth[:, None] * tangents
+def _readings(captures: DisplayCaptures, place: ModelPlace, limits: Limits, trend: Trend | None) -> FitReadings:
+    tangents, places = captures.tangents, place.coordinates
+    carried = place.carry_by_tangents(place.depth_along(captures.viewpoint, tangents), tangents)
+    at_place = place.carry(captures.viewpoint, tangents)
 
     def respond(slope: FloatArray, turned: FloatArray, rows: slice) -> FloatArray:
-        """Return the change of t - f(pixel, p~); p~ moves with the camera and with the direction of carrying."""
+        """Return the change of t - f(pixel, place), which moves with the camera and the direction of carrying."""
         by_place = slope[:, :, 2:]
-        shifted = plane.carry_by_point(tangents[rows])
+        shifted = place.carry_by_point(tangents[rows])
         return np.concatenate([-by_place @ shifted, turned - by_place @ carried[rows] @ turned], axis=2)
 
-    return _readings(captures, in_plane, respond, limits, trend)
-
-
-def _in_volume(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
-    def respond(slope: FloatArray, turned: FloatArray, rows: slice) -> FloatArray:
-        return np.concatenate([-slope[:, :, 2:], turned], axis=2)
-
-    return _readings(captures, captures.viewpoint, respond, limits, trend)
-
-
-def _at_one_place(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
-    return _readings(captures, np.empty((len(captures), 0)), None, limits, trend)
-
-
-def _readings(
-    captures: DisplayCaptures,
-    place: FloatArray,
-    respond: Respond | None,
-    limits: Limits,
-    trend: Trend | None,
-) -> FitReadings:
-    tangents = captures.tangents
-    places = place.shape[1]
     visits, capture = captures.visits
-    place, metric = without_thickness(place) if places and trend is None else place, angular_metric(tangents)
+    at_place = without_thickness(at_place) if places and trend is None else at_place
+    metric, moves = angular_metric(tangents), respond if places else None
     drift = drift_term(captures.time_s, tangents, metric)
     return FitReadings(
-        inputs=np.hstack([captures.pixel, place]),
+        inputs=np.hstack([captures.pixel, at_place]),
         is_place=np.array([False, False] + [True] * places),
         observed=tangents,
         multiplier=np.ones((len(captures), 1)),
         metric=metric,
         sigma=captures.sigma_arcmin,
         capture=capture,
-        motion=respond and motion_of(tangents, respond),
+        motion=moves and motion_of(tangents, moves),
         orders=limits.orders(2, places),
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
-        common=respond and common_of(captures, respond),
+        common=moves and common_of(captures, moves),
         axis_terms=() if drift is None or not np.any(captures.sigma_arcmin > 0) else (drift,),
-        stage=stage_labels(captures) if respond else None,
+        stage=stage_labels(captures) if moves else None,
     )
 
 
-def _of_points(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
+def _of_points(captures: DisplayCaptures, place: ModelPlace, limits: Limits, trend: Trend | None) -> FitReadings:
     """Return readings of t = a - w q, linear in the unknown a and w.
 
     q, where the measured ray meets the nominal plane, is known.
@@ -140,23 +115,13 @@ def _of_points(captures: DisplayCaptures, plane: BasePlane, limits: Limits, tren
     )
 
 
-def _bundle(
-    captures: DisplayCaptures, plane: BasePlane, forward: Regressor, spread: Covariance | None
+def _model(
+    captures: DisplayCaptures, place: ModelPlace, forward: Regressor, spread: Covariance | None
 ) -> FittedDisplay:
-    return BundleDisplay(captures.panel, captures.eye_box, plane, forward, backward_start_of(forward), spread)
+    return DisplayModel(captures.panel, captures.eye_box, place, forward, backward_start_of(forward), spread)
 
 
-def _volumetric(
-    captures: DisplayCaptures, _: BasePlane, forward: Regressor, spread: Covariance | None
-) -> FittedDisplay:
-    return VolumetricDisplay(captures.panel, captures.eye_box, forward, backward_start_of(forward), spread)
-
-
-def _static(captures: DisplayCaptures, _: BasePlane, forward: Regressor, spread: Covariance | None) -> FittedDisplay:
-    return StaticDisplay(captures.panel, captures.eye_box, forward, backward_start_of(forward), spread)
-
-
-def _points(captures: DisplayCaptures, _: BasePlane, point: Regressor, spread: Covariance | None) -> FittedDisplay:
+def _points(captures: DisplayCaptures, _: ModelPlace, point: Regressor, spread: Covariance | None) -> FittedDisplay:
     return PointPerPixelDisplay(captures.panel, captures.eye_box, point, spread)
 
 
@@ -177,12 +142,12 @@ DISPLAY: Side[DisplayCaptures, FittedDisplay] = Side(
     "display",
     "pixel",
     {
-        "planar": ModelKind(_on_plane, _bundle),
-        "volumetric": ModelKind(_in_volume, _volumetric),
-        "static": ModelKind(_at_one_place, _static, has_places=False, at_one_position=True),
+        "planar": ModelKind(_readings, _model),
+        "volumetric": ModelKind(_readings, _model, VIEWPOINT),
+        "static": ModelKind(_readings, _model, NOWHERE, has_places=False, at_one_position=True),
         "point-per-pixel": ModelKind(_of_points, _points, has_places=False),
-        "grey-box": ModelKind(_on_plane, _bundle, needs_trend=True),
-        "prescription": ModelKind(_on_plane, _bundle, needs_trend=True, is_trend_alone=True),
+        "grey-box": ModelKind(_readings, _model, needs_trend=True),
+        "prescription": ModelKind(_readings, _model, needs_trend=True, is_trend_alone=True),
     },
     DISPLAY_LIMITS,
     _nearest_to_centre,

@@ -26,7 +26,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.mappings import Eye
-from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
+from wlr_render.models.absent import ABSENT_DISPLAY, ABSENT_SEE_THROUGH
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.models.model_file import EyeModel, save_eye_models
 from wlr_render.numerics.arrays import FloatArray
@@ -315,8 +315,8 @@ def _eye_fit(
     mappings = Eye(
         f"{source.device} ({kind})",
         source.eye,
-        AbsentDisplay() if shown is None else shown.mapping,
-        AbsentSeeThrough() if seen is None else seen.mapping,
+        ABSENT_DISPLAY if shown is None else shown.mapping,
+        ABSENT_SEE_THROUGH if seen is None else seen.mapping,
         source.eye_box,
     )
     return Calibration(mappings, source.device, shown, seen, log_evidence)

@@ -352,8 +352,7 @@ class ModelFit(Generic[AnyModel]):
         _, first = np.unique(self.smooth.readings.capture, return_index=True)
         motion = curve(self.captures.viewpoint[first])
         model: Any = self.mapping  # a dataclass, as every model is
-        name = next(iter(model.FORMS))
-        changed: AnyModel = replace(model, **{name: self.smooth.with_motions(np.roll(motion, 3, axis=1))})
+        changed: AnyModel = replace(model, **{model.MODELLED: self.smooth.with_motions(np.roll(motion, 3, axis=1))})
         return changed
 
     def _with_positions(self, viewpoint: FloatArray) -> DisplayCaptures | SeeThroughCaptures:

@@ -19,11 +19,10 @@ from wlr_render.captures.correspondences import SeeThroughCaptures, select
 from wlr_render.captures.feature_captures import TARGET_POSES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.models.bundle import BundleSeeThrough
 from wlr_render.models.fitted_model import FittedSeeThrough
+from wlr_render.models.model_place import NOWHERE, VIEWPOINT, ModelPlace, OwnPlace
+from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.models.spread import Covariance
-from wlr_render.models.static import StaticSeeThrough
-from wlr_render.models.volumetric import VolumetricSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.regressor import Regressor
 
@@ -57,16 +56,16 @@ def fit_see_through(
     return SEE_THROUGH.fit(captures, kind, degree, base_plane, trend, weights)
 
 
-def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
+def _on_plane(captures: SeeThroughCaptures, place: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
     tangents = captures.tangents
-    depth_to_plane = plane.depth_along(captures.viewpoint, tangents)
+    depth_to_plane = place.depth_along(captures.viewpoint, tangents)
     in_plane = captures.viewpoint[:, :2] + depth_to_plane[:, None] * tangents
-    depth = (plane.z_at(in_plane) - captures.point[:, 2])[:, None]
-    carried = plane.carry_by_tangents(depth_to_plane, tangents)
+    depth = (place.z_at(in_plane) - captures.point[:, 2])[:, None]
+    carried = place.carry_by_tangents(depth_to_plane, tangents)
 
     def respond(slope: FloatArray, turned: FloatArray, rows: slice) -> FloatArray:
         """(P - p~) / Z - t less the deviation at (p~, t): both p~ and t move with the camera."""
-        by_shift = plane.carry_by_point(tangents[rows])
+        by_shift = place.carry_by_point(tangents[rows])
         by_place = -np.eye(2) / depth[rows, :, None] - slope[:, :, :2]
         by_tangents = -np.eye(2) - slope[:, :, 2:]
         return np.concatenate([by_place @ by_shift, by_place @ carried[rows] @ turned + by_tangents @ turned], axis=2)
@@ -75,28 +74,19 @@ def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, tr
     return _readings(captures, in_plane, observed, depth, respond, limits, trend)
 
 
-def _in_volume(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
-    tangents = captures.tangents
-    straight, depth = _straight(captures)
+def _in_volume(captures: SeeThroughCaptures, place: OwnPlace, limits: Limits, trend: Trend | None) -> FitReadings:
+    """Return readings with the straight line from viewpoint to point, as tangents (n, 2) and depth (n, 1)."""
+    depth = captures.viewpoint[:, 2:] - captures.point[:, 2:]
+    straight = (captures.point[:, :2] - captures.viewpoint[:, :2]) / depth
 
     def respond(slope: FloatArray, turned: FloatArray, rows: slice) -> FloatArray:
         by_shift = -_by_point(straight[rows])
         by_tangents = -np.eye(2) - slope[:, :, 3:]
         return np.concatenate([by_shift / depth[rows, :, None] - slope[:, :, :3], by_tangents @ turned], axis=2)
 
-    return _readings(captures, captures.viewpoint, straight - tangents, depth, respond, limits, trend)
-
-
-def _at_one_place(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
-    straight, depth = _straight(captures)
-    nowhere = np.empty((len(captures), 0))
-    return _readings(captures, nowhere, straight - captures.tangents, depth, None, limits, trend)
-
-
-def _straight(captures: SeeThroughCaptures) -> tuple[FloatArray, FloatArray]:
-    """Tangents (n, 2) of the straight line from viewpoint to point, and the point's depth (n, 1)."""
-    depth = captures.viewpoint[:, 2:] - captures.point[:, 2:]
-    return (captures.point[:, :2] - captures.viewpoint[:, :2]) / depth, depth
+    at_place = place.carry(captures.viewpoint, captures.tangents)
+    moves = respond if place.coordinates else None
+    return _readings(captures, at_place, straight - captures.tangents, depth, moves, limits, trend)
 
 
 def _by_point(straight: FloatArray) -> FloatArray:
@@ -147,22 +137,10 @@ def _readings(
     )
 
 
-def _bundle(
-    captures: SeeThroughCaptures, plane: BasePlane, deviation: Regressor, spread: Covariance | None
+def _model(
+    captures: SeeThroughCaptures, place: ModelPlace, deviation: Regressor, spread: Covariance | None
 ) -> FittedSeeThrough:
-    return BundleSeeThrough(captures.eye_box, plane, deviation, spread)
-
-
-def _volumetric(
-    captures: SeeThroughCaptures, _: BasePlane, forward: Regressor, spread: Covariance | None
-) -> FittedSeeThrough:
-    return VolumetricSeeThrough(captures.eye_box, forward, spread)
-
-
-def _static(
-    captures: SeeThroughCaptures, _: BasePlane, forward: Regressor, spread: Covariance | None
-) -> FittedSeeThrough:
-    return StaticSeeThrough(captures.eye_box, forward, spread)
+    return SeeThroughModel(captures.eye_box, place, deviation, spread)
 
 
 def _check(captures: SeeThroughCaptures, kind: str, plane: BasePlane) -> None:
@@ -199,11 +177,11 @@ SEE_THROUGH: Side[SeeThroughCaptures, FittedSeeThrough] = Side(
     "see-through",
     "direction",
     {
-        "planar": ModelKind(_on_plane, _bundle),
-        "volumetric": ModelKind(_in_volume, _volumetric),
-        "static": ModelKind(_at_one_place, _static, has_places=False, at_one_position=True),
-        "grey-box": ModelKind(_on_plane, _bundle, needs_trend=True),
-        "prescription": ModelKind(_on_plane, _bundle, needs_trend=True, is_trend_alone=True),
+        "planar": ModelKind(_on_plane, _model),
+        "volumetric": ModelKind(_in_volume, _model, VIEWPOINT),
+        "static": ModelKind(_in_volume, _model, NOWHERE, has_places=False, at_one_position=True),
+        "grey-box": ModelKind(_on_plane, _model, needs_trend=True),
+        "prescription": ModelKind(_on_plane, _model, needs_trend=True, is_trend_alone=True),
     },
     SEE_THROUGH_LIMITS,
     _nearest_to_centre,

@@ -17,6 +17,7 @@ from wlr_render.captures.correspondences import AnyCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.contraction import require_unique
+from wlr_render.models.model_place import ModelPlace, OwnPlace
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box
@@ -28,15 +29,17 @@ class ModelKind(Generic[AnyCaptures, AnyModel]):
     """How a kind of model is fitted.
 
     Attributes:
-        readings: (captures, plane, limits, trend) -> readings.
-        model: (captures, plane, regressor, spread) -> model.
+        readings: (captures, place, limits, trend) -> readings.
+        model: (captures, place, regressor, spread) -> model.
+        place: place of its viewpoints; None for the base plane.
         has_places: whether it depends on the camera position; if not, its orders have no limit for the place.
         at_one_position: whether only the camera position nearest to the eye box's centre is used.
         needs_trend: whether it has a trend. is_trend_alone: and nothing else.
     """
 
     readings: Callable[..., FitReadings]
-    model: Callable[[AnyCaptures, BasePlane, Regressor, Covariance | None], AnyModel]
+    model: Callable[[AnyCaptures, ModelPlace, Regressor, Covariance | None], AnyModel]
+    place: OwnPlace | None = None
     has_places: bool = True
     at_one_position: bool = False
     needs_trend: bool = False
@@ -98,7 +101,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         limits = self.limits if degree is None else (Limits(degree, degree, degree),)
         if how.is_trend_alone:
             limits = (TREND_ALONE,)
-        readings_within = partial(how.readings, plane=plane, trend=trend if how.needs_trend else None)
+        readings_within = partial(how.readings, place=how.place or plane, trend=trend if how.needs_trend else None)
         try:
             smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights, stage)
         except UndeterminedModelError as error:
@@ -112,7 +115,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         if degree is None:  # a limit may be why no polynomial follows
             smooth.require_agreement(f"the {self.name} captures of {captures.device}", used.sigma_arcmin)
         readings_of = partial(_with_orders, readings_within, smooth.readings.orders)
-        mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
+        mapping = how.model(used, how.place or plane, smooth.polynomial, smooth.spread)
         contraction = require_unique(mapping.contraction(), kind, self.name)
         orders = smooth.readings.limits.words(self.subject, how.has_places)
         return ModelFit(kind, mapping, used, smooth, readings_of, orders, contraction)

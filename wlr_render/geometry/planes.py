@@ -1,7 +1,7 @@
 """The base plane P of planar viewpoint sampling: a plane in the device frame, upright or tilted."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -24,6 +24,8 @@ class BasePlane:
 
     z: Annotated[float, Key("z_m", most=_FAR_M)]
     slope: Annotated[tuple[float, float], Key(most=_STEEPEST, always=True)] = (0.0, 0.0)
+
+    coordinates: ClassVar[int] = 2
 
     def depth_along(self, point: FloatArray, tangents: FloatArray) -> FloatArray:
         """Return the depth s (...), metres along -z, at which rays from `point` (..., 3) meet the plane.

@@ -61,7 +61,7 @@ from wlr_render.jobs.options import (
     seed_of,
 )
 from wlr_render.mappings import Eye
-from wlr_render.models.static import undeviated
+from wlr_render.models.see_through_model import undeviated
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.srgb import decode_srgb, encode_srgb
 from wlr_render.optics.device_file import device_path, load_device

@@ -1,4 +1,4 @@
-"""Mappings that were not calibrated, of a headset without a display or see-through session: every use is refused."""
+"""Mapping that was not calibrated, of a headset without a display or see-through session: every use is refused."""
 
 from dataclasses import dataclass
 from typing import NoReturn
@@ -8,47 +8,34 @@ from wlr_render.mappings import Panel, QueryResult
 from wlr_render.numerics.arrays import FloatArray
 
 
-def _refuse(side: str, wanted: str) -> NoReturn:
-    raise BadInputError(
-        f"the model has no {side} mapping, because it was calibrated without {wanted}; calibrate with both to use it "
-        "here."
-    )
-
-
 @dataclass(frozen=True)
-class AbsentDisplay:
-    """A display that was not calibrated; every query raises BadInputError."""
+class Absent:
+    """A display or see-through mapping that was not calibrated; every query raises BadInputError.
+
+    Attributes:
+        side: "display" or "see-through".
+        lacking: photographs that the calibration lacked.
+    """
+
+    side: str
+    lacking: str
+
+    def _refuse(self) -> NoReturn:
+        raise BadInputError(
+            f"the model has no {self.side} mapping, because it was calibrated without {self.lacking}; calibrate with "
+            "both to use it here."
+        )
 
     @property
     def panel(self) -> Panel:
         """Panel of the display: refused, because it is unknown."""
-        _refuse("display", "photographs of the panel")
+        self._refuse()
 
-    def view_dir_of_pixel(
-        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> QueryResult:
-        """Refuse the forward query."""
-        _refuse("display", "photographs of the panel")
+    def _answer(self, subject: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None) -> QueryResult:
+        self._refuse()
 
-    def pixel_of_view_dir(
-        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> QueryResult:
-        """Refuse the backward query."""
-        _refuse("display", "photographs of the panel")
+    view_dir_of_pixel = pixel_of_view_dir = real_ray_of_view_dir = view_dir_of_real_point = _answer
 
 
-@dataclass(frozen=True)
-class AbsentSeeThrough:
-    """A see-through mapping that was not calibrated; every query raises BadInputError."""
-
-    def real_ray_of_view_dir(
-        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> QueryResult:
-        """Refuse the forward query."""
-        _refuse("see-through", "photographs through the optics")
-
-    def view_dir_of_real_point(
-        self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> QueryResult:
-        """Refuse the backward query."""
-        _refuse("see-through", "photographs through the optics")
+ABSENT_DISPLAY = Absent("display", "photographs of the panel")
+ABSENT_SEE_THROUGH = Absent("see-through", "photographs through the optics")

@@ -13,10 +13,8 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_by_tangents, dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, Panel, QueryResult, Status
-from wlr_render.models.inverse import solve_pixel
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.numerics.polynomial import Polynomial
 from wlr_render.numerics.regressor import Regressor
 
 _CHUNK = 65_536  # elements per block: a whole panel must not hold all its basis terms and Jacobians at once
@@ -136,49 +134,24 @@ def joined(*columns: FloatArray) -> FloatArray:
     return np.concatenate(columns, axis=-1)
 
 
-def pixel_answer(
-    forward: Regressor, backward_start: Polynomial, place: FloatArray, tangents: FloatArray, start: FloatArray | None
-) -> Answer:
-    """Answer a display's backward query by `inverse.solve_pixel`; inside if the forward inputs are in their box."""
-    root = solve_pixel(forward, backward_start, place, tangents, start)
-    return Answer(root.unknown, forward.box.contains(joined(root.unknown, place)), root.converged, root.unknown)
-
-
-Forms = dict[str, tuple[int, int]]
-"""Numbers of variables and outputs of a model's polynomials, by attribute."""
-
-
 class FittedModel(ABC):
     """Base of models made of regressors; a subclass is a frozen dataclass and implements the formulas.
 
     Attributes:
-        FORMS: variables and outputs of each polynomial, by attribute name; the first is the model, others start solves.
+        MODELLED: name of the attribute `modelled`.
         eye_box: box of valid viewpoints; a viewpoint outside is OUTSIDE_FIT.
-        spread: covariance of the first polynomial; None for models that were not fitted with one.
-
-    Raises:
-        BadInputError: a polynomial has wrong numbers of variables, outputs or terms, or coefficients that are not
-            finite.
+        spread: covariance of `modelled`; None for models that were not fitted with one.
     """
 
-    FORMS: ClassVar[Forms]
+    MODELLED: ClassVar[str]
     eye_box: EyeBox
     spread: Covariance | None = None
 
-    def __post_init__(self) -> None:
-        for name, (variables, outputs) in self.FORMS.items():
-            polynomial: Regressor = getattr(self, name)
-            if not isinstance(polynomial, Polynomial):
-                continue
-            shape = len(polynomial.box.low), polynomial.orders.shape[1], polynomial.coefficients.shape
-            expected = variables, variables, (len(polynomial.orders), outputs)
-            if shape != expected:
-                raise BadInputError(
-                    f"the polynomial '{name}' must have {variables} variables and coefficients of shape {expected[2]}, "
-                    f"not {shape[0]} and {shape[2]}."
-                )
-            if not np.isfinite(polynomial.coefficients).all():
-                raise BadInputError(f"the polynomial '{name}' has coefficients that are not finite.")
+    @property
+    def modelled(self) -> Regressor:
+        """The regressor that is the model; others start solves."""
+        modelled: Regressor = getattr(self, self.MODELLED)
+        return modelled
 
     def contraction(self) -> float:
         """Contraction of the model's solve over the eye box, see `models.contraction`; 0 for closed forms."""

@@ -4,12 +4,11 @@ The forward polynomials are the model. A backward query is their inverse, found 
 backward agree to the tolerance of the solve. Only its start is fitted or sampled.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.newton import Residual, Root, solve_2x2
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.numerics.regressor import Regressor
@@ -39,35 +38,6 @@ def solve_warm_then_cold(residual: Residual, start: FloatArray | None, cold: Flo
     return Root(unknown, converged, warm.iterations + again.iterations)
 
 
-def solve_pixel(
-    tangents_of: Regressor,
-    backward_start: Polynomial,
-    place: FloatArray,
-    tangents: FloatArray,
-    start: FloatArray | None,
-) -> Root:
-    """Solve for the pixel with the given view tangents.
-
-    Args:
-        tangents_of: (u, v, place) -> (tx, ty), the model.
-        backward_start: (place, tx, ty) -> (u, v), the cold start.
-        place: (n, any) inputs of the model that depend on the viewpoint; fixed during the solve.
-        tangents: (n, 2).
-        start: (n, 2) earlier pixels, or None.
-
-    Returns:
-        Root whose unknown is the pixel, (n, 2).
-    """
-    tangents_at = tangents_of.held(range(2, 2 + place.shape[1]), place)
-
-    def residual(pixel: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
-        value, jacobian = tangents_at.with_jacobian(pixel, index)
-        return value - tangents[index], jacobian
-
-    cold = backward_start(np.concatenate([place, tangents], axis=1))
-    return solve_warm_then_cold(residual, start, cold, tangents_of.rounding)
-
-
 @dataclass(frozen=True)
 class Deviation:
     """A see-through model at m pairs of viewpoint and view tangents t.
@@ -83,11 +53,6 @@ class Deviation:
     by_tangents: FloatArray
     depth: FloatArray
     depth_by_tangents: FloatArray
-
-    @classmethod
-    def at_viewpoint(cls, value: FloatArray, by_tangents: FloatArray) -> "Deviation":
-        """Return the deviation of a model whose B is defined at the viewpoint's z."""
-        return cls(value, by_tangents, np.zeros(len(value)), np.zeros((len(value), 2)))
 
     def seen_at(self, inverse_depth: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the apparent displacement of a point, tangents (m, 2), and its derivative by t, (m, 2, 2).
@@ -107,38 +72,6 @@ class Deviation:
         near = inverse_depth[:, None, None]
         by_value = np.concatenate([(1.0 - self.depth[:, None, None] * near) * np.eye(2), near * np.eye(2)], axis=-1)
         return np.asarray(-np.linalg.solve(np.eye(2) + self.seen_at(inverse_depth)[1], by_value))
-
-
-def solve_view_tangents(
-    deviation_at: Callable[[FloatArray, IntArray], Deviation],
-    point: FloatArray,
-    viewpoint: FloatArray,
-    start: FloatArray | None,
-    rounding: float = 0.0,
-) -> Root:
-    """Solve for the view direction whose world ray passes through a real point.
-
-    The residual is the ray's lateral miss over the depth D of the point in front of the eye:
-    t - straight + (1 - s / D) A + B / D, with s the depth at which B is defined. The cold start is the straight line.
-
-    Args:
-        deviation_at: the model at tangents (m, 2) and the viewpoints with the indices (m,).
-        point: (n, 3) in front of the viewpoint.
-        viewpoint: (n, 3).
-        start: (n, 2) earlier solutions, or None.
-        rounding: rounding error of the residual.
-
-    Returns:
-        Root whose unknown is t, (n, 2).
-    """
-    inverse_depth = 1.0 / (viewpoint[:, 2] - point[:, 2])
-    straight = (point[:, :2] - viewpoint[:, :2]) * inverse_depth[:, None]
-
-    def residual(tangents: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
-        bent, slope = deviation_at(tangents, index).seen_at(inverse_depth[index])
-        return tangents - straight[index] + bent, np.eye(2) + slope
-
-    return solve_warm_then_cold(residual, start, straight, rounding)
 
 
 def backward_start_of(forward: Regressor) -> Polynomial:

@@ -1,6 +1,6 @@
 """Tables of fitted mappings in a model file: display or see-through, its polynomials and its spread.
 
-Kinds and the inputs and outputs of their polynomials are defined by the classes in this package. A polynomial is
+The classes in this package define the inputs and outputs of the polynomials. A polynomial is
 {low, high, terms}: inputs are scaled linearly so that low..high becomes -1..1, and its value is the sum over
 terms of `values` (one per output) times the product over inputs of Chebyshev T_k, with k from `orders`.
 
@@ -14,7 +14,7 @@ Factor c at given inputs is unit[c] times the sum over terms of values[term][c] 
 y in turn. `joint` has m r factors: number o r + j is the change of output o by random variable j. `apart` has m r / 2:
 number b r + j is the change of outputs 2 b and 2 b + 1, by random variables j of the x and of the y axis. All variables
 are independent and standard normal, and the first `shared` of `joint` are the same ones in the eye's display and
-see-through. `sources` names the source of error of each of them, assembly errors of a prescription if it is absent. The
+see-through. `sources` names the source of error of each of them. The
 covariance of outputs o and p is therefore
 
     C[o][p] = sum_j joint[o r + j] joint[p r + j]  +  sum_j apart[b r + j] apart[c r + j] if o - p is even
@@ -33,8 +33,8 @@ Z), where G(t) = 0 is the equation that the class solves for a point at depth Z;
 if planar.
 """
 
-from dataclasses import fields
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -44,59 +44,56 @@ from wlr_render.io.file_records import read_record, record_keys
 from wlr_render.io.input_files import require_pixels
 from wlr_render.io.toml_files import Table
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
-from wlr_render.models.fitted_model import Forms
+from wlr_render.models.display_model import DisplayModel
+from wlr_render.models.fitted_model import FittedDisplay, FittedModel
+from wlr_render.models.model_place import NOWHERE, VIEWPOINT, ModelPlace
 from wlr_render.models.plausible import require_plausible_values
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
-from wlr_render.models.spread import PRESCRIPTION, Covariance
-from wlr_render.models.static import StaticDisplay, StaticSeeThrough
-from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
+from wlr_render.models.see_through_model import SeeThroughModel
+from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial, term_count, total_degree
+from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
 
-_BACKWARD = "backward"  # key of versions 1 and 2: the polynomial that answered backward queries
-_BACKWARD_BEFORE = 3  # first version without that key
 _DIGITS = 5  # significant digits of a spread's factors
 _LARGEST_SPREAD = 100.0  # largest plausible factor of a spread, radians or metres
 _MOST_TERMS = 10_000
-
-# A new model only needs a line here: its fields and FORMS define its form in the file.
-DISPLAYS: dict[str, type[Any]] = {
-    "planar": BundleDisplay,
-    "volumetric": VolumetricDisplay,
-    "static": StaticDisplay,
-    "point-per-pixel": PointPerPixelDisplay,
-}
-SEE_THROUGHS: dict[str, type[Any]] = {
-    "planar": BundleSeeThrough,
-    "volumetric": VolumetricSeeThrough,
-    "static": StaticSeeThrough,
-}
+_PLACES = {"planar": None, "volumetric": VIEWPOINT, "static": NOWHERE}  # None: base plane of the file
+_POINTS = "point-per-pixel"
+_Model = TypeVar("_Model", bound=FittedModel)
 
 
-def mapping_record(mapping: object, kinds: dict[str, type[Any]]) -> dict[str, Any]:
-    """Return the JSON object of a mapping, which `read_mapping` reads.
+def mapping_kind(mapping: object) -> str | None:
+    """Return the kind of a fitted mapping in a model file; None for other mappings."""
+    if isinstance(mapping, PointPerPixelDisplay):
+        return _POINTS
+    if not isinstance(mapping, DisplayModel | SeeThroughModel):
+        return None
+    return next((kind for kind, place in _PLACES.items() if place == mapping.place), "planar")
+
+
+def mapping_record(mapping: object) -> dict[str, Any]:
+    """Return the JSON object of a mapping, which `read_display` or `read_see_through` reads.
 
     Raises:
-        BadInputError: the mapping is not one of these kinds.
+        BadInputError: the mapping is not of a kind that is written, or not made of polynomials.
     """
-    for kind, model in kinds.items():
-        if isinstance(mapping, model):
-            record = {"kind": kind} | {name: _record(getattr(mapping, name)) for name in _part_names(model)}
-            if mapping.spread is None:
-                return record
-            return record | {"spread": _spread_record(mapping.spread, getattr(mapping, modelled_name(model)))}
-    raise BadInputError(f"a {type(mapping).__name__} cannot be written to a model file; only {', '.join(kinds)} can.")
+    if not isinstance(mapping, PointPerPixelDisplay | DisplayModel | SeeThroughModel):
+        kinds = ", ".join([*_PLACES, _POINTS])
+        raise BadInputError(f"a {type(mapping).__name__} cannot be written to a model file; only {kinds} can.")
+    record = {"kind": mapping_kind(mapping)} | {name: _record(part) for name, part in _parts(mapping).items()}
+    if mapping.spread is not None:
+        assert isinstance(mapping.modelled, Polynomial)
+        record["spread"] = _spread_record(mapping.spread, mapping.modelled)
+    return record
 
 
-def _part_names(model: type[Any]) -> list[str]:
-    return [f.name for f in fields(model) if f.name not in ("eye_box", "spread")]
-
-
-def modelled_name(model: type[Any]) -> str:
-    """Return the name of the polynomial that the spread belongs to."""
-    forms: Forms = model.FORMS
-    return next(iter(forms))
+def _parts(mapping: PointPerPixelDisplay | DisplayModel | SeeThroughModel) -> dict[str, object]:
+    if isinstance(mapping, PointPerPixelDisplay):
+        return {"panel": mapping.panel, "point": mapping.point}
+    plane = {"base_plane": mapping.place} if isinstance(mapping.place, BasePlane) else {}
+    if isinstance(mapping, SeeThroughModel):
+        return plane | {"deviation" if plane else "forward": mapping.deviation}
+    return {"panel": mapping.panel, **plane, "forward": mapping.forward, "backward_start": mapping.backward_start}
 
 
 def _spread_record(spread: Covariance, polynomial: Polynomial) -> dict[str, Any]:
@@ -119,7 +116,7 @@ def _factors_record(factors: Polynomial, polynomial: Polynomial) -> dict[str, An
     return orders | {"unit": unit, "values": np.rint(factors.coefficients / unit).astype(np.int64).tolist()}
 
 
-def _record(part: Panel | BasePlane | Polynomial) -> dict[str, Any]:
+def _record(part: object) -> dict[str, Any]:
     if isinstance(part, Panel | BasePlane):
         return record_keys(part)
     if not isinstance(part, Polynomial):
@@ -132,24 +129,46 @@ def _record(part: Panel | BasePlane | Polynomial) -> dict[str, Any]:
     }
 
 
-def read_mapping(table: Table, kinds: dict[str, type[Any]], eye_box: EyeBox, version: int) -> Any:
-    """Read a mapping from its table in a model file of a version.
+def read_display(table: Table, eye_box: EyeBox, version: int) -> FittedDisplay:
+    """Read a display from its table in a model file of a version.
 
     Raises:
         BadInputError: a key is missing or unknown, or a value is not plausible.
     """
-    model = kinds[table.text("kind", choices=list(kinds))]
-    forms: Forms = model.FORMS
-    old = {"backward_start": _BACKWARD} if version < _BACKWARD_BEFORE else {}
-    parts = {name: _part(table.table(old.get(name, name)), name, forms) for name in _part_names(model)}
-    if version < _BACKWARD_BEFORE:
-        table.raw(_BACKWARD)
-    require_plausible_values(table, parts, modelled_name(model) if kinds is DISPLAYS else "")
-    modelled, spread = parts[modelled_name(model)], None
-    if table.has("spread") and isinstance(modelled, Polynomial):
-        spread = _spread(table.table("spread"), modelled)
+    kind = table.text("kind", choices=[*_PLACES, _POINTS])
+    panel = read_record(Panel, panel_table := table.table("panel"))
+    require_pixels(panel_table.where, panel.size_px, "calibrate again")
+    if kind == _POINTS:
+        point = _polynomial(table, "point", 2, 3)
+        return _checked(table, PointPerPixelDisplay(panel, eye_box, point), {"point": point}, panel)
+    place, start = _place(table, kind), "backward" if version == 1 else "backward_start"
+    variables = 2 + place.coordinates
+    forward, backward = _polynomial(table, "forward", variables, 2), _polynomial(table, start, variables, 2)
+    parts = {"forward": forward, "backward_start": backward}
+    return _checked(table, DisplayModel(panel, eye_box, place, forward, backward), parts, panel)
+
+
+def read_see_through(table: Table, eye_box: EyeBox, version: int) -> SeeThroughModel:
+    """Read a see-through mapping; see `read_display`."""
+    kind = table.text("kind", choices=[*_PLACES])
+    place, name = _place(table, kind), "deviation" if kind == "planar" else "forward"
+    deviation = _polynomial(table, name, 2 + place.coordinates, 4)
+    if version == 1:
+        table.raw("backward")
+    return _checked(table, SeeThroughModel(eye_box, place, deviation), {name: deviation})
+
+
+def _place(table: Table, kind: str) -> ModelPlace:
+    return _PLACES[kind] or read_record(BasePlane, table.table("base_plane"))
+
+
+def _checked(table: Table, model: _Model, parts: Mapping[str, Polynomial], panel: Panel | None = None) -> _Model:
+    """Return a model of plausible polynomials, the first of which has the spread, with its spread."""
+    require_plausible_values(table, parts, panel)
+    if table.has("spread"):
+        model = model.with_spread(_spread(table.table("spread"), next(iter(parts.values()))))
     table.finish()
-    return model(eye_box=eye_box, **parts, spread=spread)
+    return model
 
 
 def _spread(table: Table, polynomial: Polynomial) -> Covariance:
@@ -159,7 +178,7 @@ def _spread(table: Table, polynomial: Polynomial) -> Covariance:
     shared, variables = table.whole("shared"), joint.coefficients.shape[1] // outputs
     if shared > variables:
         raise table.fail(f"'shared' is {shared}, but 'joint' has {variables} variables; calibrate again.")
-    sources = tuple(table.texts("sources")) if table.has("sources") else (PRESCRIPTION,) * shared
+    sources = tuple(table.texts("sources")) if table.has("sources") else ()
     if len(sources) != shared:
         raise table.fail(f"'sources' names {len(sources)} variables, but 'shared' is {shared}; calibrate again.")
     table.finish()
@@ -184,19 +203,8 @@ def _factors(parent: Table, name: str, polynomial: Polynomial, outputs: int) -> 
     return Polynomial(orders, box, factors)
 
 
-def _part(table: Table, name: str, forms: Forms) -> Panel | BasePlane | Polynomial:
-    if name == "base_plane":
-        return read_record(BasePlane, table)
-    if name == "panel":
-        panel = read_record(Panel, table)
-        require_pixels(table.where, panel.size_px, "calibrate again")
-        return panel
-    polynomial = _polynomial(table, *forms[name])
-    table.finish()
-    return polynomial
-
-
-def _polynomial(table: Table, variables: int, outputs: int) -> Polynomial:
+def _polynomial(parent: Table, name: str, variables: int, outputs: int) -> Polynomial:
+    table = parent.table(name)
     box = Box(table.vector("low", variables), table.vector("high", variables))
     if not np.all(box.low < box.high):
         raise table.fail("'low' must be less than 'high' on every axis.")
@@ -204,14 +212,10 @@ def _polynomial(table: Table, variables: int, outputs: int) -> Polynomial:
     if not terms:
         raise table.fail("'terms' is empty; write one term at least.")
     orders = _orders(table, np.array([term.row("orders", variables) for term in terms], dtype=np.float64))
-    if table.has("degree"):  # version 1 or 2
-        degree = table.whole("degree", most=HIGHEST_ORDER)
-        if len(terms) != term_count(variables, degree) or not np.array_equal(orders, total_degree(variables, degree)):
-            raise table.fail(
-                f"'terms' must be all {term_count(variables, degree)} of total degree up to {degree}, ordered by it "
-                "and by 'orders'."
-            )
-    return Polynomial(orders, box, np.array([term.row("values", outputs) for term in terms], dtype=np.float64))
+    values = np.array([term.row("values", outputs) for term in terms], dtype=np.float64)
+    table.raw("degree")  # key of version 1
+    table.finish()
+    return Polynomial(orders, box, values)
 
 
 def _orders(table: Table, read: FloatArray) -> IntArray:

@@ -13,9 +13,9 @@
 
 display or see_through is omitted where it was not calibrated.
 
-Versions 1 and 2 are still read. Version 1 has the keys of its single eye in the header. Both have base planes without
-slope and polynomials with the `degree` up to which they hold all terms, and call a display's `backward_start`
-`backward`; their see-through `backward` is not used. They have no spread.
+Version 1, of release 0.1, is still read. It has the keys of its single eye in the header, base planes without slope,
+polynomials with the `degree` up to which they hold all terms, and no spread; it calls a display's `backward_start`
+`backward`, and its see-through `backward` is not used.
 
 `mapping_table.py` describes kinds, polynomials and spreads. Numbers are written so that they are read back exactly.
 """
@@ -34,8 +34,9 @@ from wlr_render.io.file_records import record_keys
 from wlr_render.io.input_files import as_bad_input
 from wlr_render.io.toml_files import Table, read_json
 from wlr_render.mappings import DisplayMapping, Eye, SeeThroughMapping
-from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
-from wlr_render.models.mapping_table import DISPLAYS, SEE_THROUGHS, mapping_record, modelled_name, read_mapping
+from wlr_render.models.absent import ABSENT_DISPLAY, ABSENT_SEE_THROUGH, Absent
+from wlr_render.models.fitted_model import FittedModel
+from wlr_render.models.mapping_table import mapping_kind, mapping_record, read_display, read_see_through
 from wlr_render.models.plausible import plausible_eye_box
 from wlr_render.numerics.polynomial import Polynomial
 
@@ -60,8 +61,8 @@ class EyeModel:
 
     def _repr_html_(self) -> str:
         columns = ("fitted", "kind", "terms", "camera positions", "noise (arcmin)", "predicted error, rms (arcmin)")
-        sides = (("display", self.mappings.display, DISPLAYS), ("see_through", self.mappings.see_through, SEE_THROUGHS))
-        rows = [[name.replace("_", "-"), *self._fitted(name, mapping, kinds)] for name, mapping, kinds in sides]
+        sides = {"display": self.mappings.display, "see_through": self.mappings.see_through}
+        rows = [[name.replace("_", "-"), *self._fitted(name, mapping)] for name, mapping in sides.items()]
         fitted = SummaryTable(columns, rows)
         return html_summary(
             f"Model of {self.device}, {self.mappings.eye} eye: {self.mappings.name}",
@@ -69,12 +70,12 @@ class EyeModel:
             [self.mappings.summary, fitted],
         )
 
-    def _fitted(self, name: str, mapping: object, kinds: dict[str, type[Any]]) -> list[str]:
+    def _fitted(self, name: str, mapping: object) -> list[str]:
         """Return the table cells of one mapping; a dash for each number that the report lacks."""
-        kind = next((kind for kind, model in kinds.items() if isinstance(mapping, model)), "")
-        if not kind:
+        kind = mapping_kind(mapping)
+        if kind is None or not isinstance(mapping, FittedModel):
             return ["not calibrated", "-", "-", "-", "-"]
-        modelled, report = getattr(mapping, modelled_name(kinds[kind])), self.report.get(name)
+        modelled, report = mapping.modelled, self.report.get(name)
         terms = str(len(modelled.orders)) if isinstance(modelled, Polynomial) else "-"
         values = [report.get(key) if isinstance(report, Mapping) else None for key in _SHOWN]
         return [kind, terms, *(f"{each:.3g}" if isinstance(each, int | float) else "-" for each in values)]
@@ -173,21 +174,21 @@ def _eye_record(model: EyeModel) -> dict[str, Any]:
         "name": eye.name,
         "eye_box": record_keys(eye.eye_box),
     }
-    if not isinstance(eye.display, AbsentDisplay):
-        record["display"] = mapping_record(eye.display, DISPLAYS)
-    if not isinstance(eye.see_through, AbsentSeeThrough):
-        record["see_through"] = mapping_record(eye.see_through, SEE_THROUGHS)
+    if not isinstance(eye.display, Absent):
+        record["display"] = mapping_record(eye.display)
+    if not isinstance(eye.see_through, Absent):
+        record["see_through"] = mapping_record(eye.see_through)
     return record | {"report": dict(model.report)}
 
 
 def _eye_model(table: Table, device: str, version: int) -> EyeModel:
     eye_box = plausible_eye_box(table.table("eye_box"))
-    display: DisplayMapping = AbsentDisplay()
-    see_through: SeeThroughMapping = AbsentSeeThrough()
+    display: DisplayMapping = ABSENT_DISPLAY
+    see_through: SeeThroughMapping = ABSENT_SEE_THROUGH
     if table.has("display") or not table.has("see_through"):
-        display = read_mapping(table.table("display"), DISPLAYS, eye_box, version)
+        display = read_display(table.table("display"), eye_box, version)
     if table.has("see_through"):
-        see_through = read_mapping(table.table("see_through"), SEE_THROUGHS, eye_box, version)
+        see_through = read_see_through(table.table("see_through"), eye_box, version)
     mappings = Eye(table.text("name"), table.text("eye", choices=["left", "right"]), display, see_through, eye_box)
     report = table.raw_table("report")
     with as_bad_input(f"{table.where}: 'report'", "plain JSON", "calibrate again"):
@@ -200,6 +201,8 @@ def _check_header(table: Table) -> int:
     if table.text("format", default="missing") != FORMAT:
         raise table.fail(f"is not a model file: its format is not '{FORMAT}'; name one that calibration wrote.")
     version = table.check_head(FORMAT, VERSION, oldest=1, remedy="calibrate again")
+    if version == 2:
+        raise table.fail("has version 2, which no release wrote; calibrate again.")
     table.text("package_version")
     table.text("frame", choices=["openxr"])
     units = table.table("units")

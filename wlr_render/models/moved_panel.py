@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import DisplayMapping, EyeBox, Panel, QueryResult
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial
@@ -43,9 +42,9 @@ class MovedPanelDisplay:
         return self.still.eye_box  # type: ignore[attr-defined, no-any-return]  # absent where it is absent there
 
     @property
-    def base_plane(self) -> BasePlane:
+    def place(self) -> object:
         """The base plane; see `PlanarDisplay`."""
-        return self.still.base_plane  # type: ignore[attr-defined, no-any-return]
+        return getattr(self.still, "place", None)
 
     @property
     def forward(self) -> Regressor:

@@ -28,21 +28,20 @@ def plausible_eye_box(table: Table) -> EyeBox:
     return eye_box
 
 
-def require_plausible_values(table: Table, parts: Mapping[str, object], display: str) -> None:
+def require_plausible_values(table: Table, polynomials: Mapping[str, Polynomial], panel: Panel | None) -> None:
     """Refuse polynomials that reach absurd values within their own boxes.
 
     Args:
         table: the mapping, for messages.
-        parts: polynomials of the mapping, by name.
-        display: name of the display's polynomial, whose pixels must cover a panel, if any.
+        polynomials: of the mapping, by name.
+        panel: of a display, whose first polynomial must cover it with pixels.
     """
-    for name, part in parts.items():
-        if not isinstance(part, Polynomial):
-            continue
+    display = next(iter(polynomials)) if panel else ""
+    for name, part in polynomials.items():
         low, high = part.box.low, part.box.high
         others = np.abs([low[2:], high[2:]] if name == display else [low, high])
-        if name == display:
-            _require_on_panel(table, name, part.box, parts["panel"])
+        if panel and name == display:
+            _require_on_panel(table, name, part.box, panel)
         if others.max(initial=0.0) > _STEEPEST:
             raise table.fail(
                 f"'{name}' has an input up to {others.max():g}, more than the plausible {_STEEPEST:g} (metres or "
@@ -60,9 +59,8 @@ def require_plausible_values(table: Table, parts: Mapping[str, object], display:
             raise table.fail(f"'{name}' shows all pixels in one direction or on one line; calibrate again.")
 
 
-def _require_on_panel(table: Table, name: str, box: Box, panel: object) -> None:
+def _require_on_panel(table: Table, name: str, box: Box, panel: Panel) -> None:
     """Refuse pixels, the first two inputs of every display's polynomial, that do not lie on the panel."""
-    assert isinstance(panel, Panel)
     low, high = box.low[:2] / panel.size_px, box.high[:2] / panel.size_px
     if low.min() < -_BESIDE or high.max() > 1 + _BESIDE or (high - low).min() < _LEAST_SHARE:
         raise table.fail(

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.fitted_model import Answer, FittedDisplay, Forms, Sensitivity
+from wlr_render.models.fitted_model import Answer, FittedDisplay, Sensitivity
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.newton import solve_2x2
@@ -38,7 +38,7 @@ class PointPerPixelDisplay(FittedDisplay):
     point: Regressor
     spread: Covariance | None = None
 
-    FORMS: ClassVar[Forms] = {"point": (2, 3)}
+    MODELLED: ClassVar[str] = "point"
 
     def _forward(self, pixel: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         point = self.point(pixel)

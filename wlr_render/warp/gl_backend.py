@@ -14,7 +14,7 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.gl import gl
 from wlr_render.gl.readback import Readback, read_into, read_rgb
 from wlr_render.io.input_files import shown
-from wlr_render.mappings import Eye, PlanarDisplay, PlanarSeeThrough, count_unsolved
+from wlr_render.mappings import Eye, count_unsolved, is_planar
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.checks import checked_choice
 from wlr_render.warp.composed_frame import CachedRayMaps
@@ -357,7 +357,7 @@ def _solve_of(context: gl.GlContext, mappings: Eye, offset_px: FloatArray, plan:
     """Return the solver for a primary whose sub-pixels are offset (2,) display pixels from the centres of pixels."""
     warp_grid, axes = plan.warp_grid.grid, plan.device_from_camera
     warp_grid = replace(warp_grid, first_px=warp_grid.first_px + offset_px * warp_grid.panel.size_px / plan.size_px)
-    if isinstance(mappings.display, PlanarDisplay) and isinstance(mappings.see_through, PlanarSeeThrough):
+    if is_planar(mappings):
         return GlPlanarSolver(context, mappings, warp_grid, axes)
     count = choose_plan(mappings).node_count
     return GlNodeSolver(context, mappings, RayMapPlan.onto_grid(warp_grid, count, axes))

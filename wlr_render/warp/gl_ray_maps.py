@@ -119,8 +119,8 @@ class GlPlanarSolver:
             gl.set_uniforms(
                 self._solve.program,
                 viewpoint=tuple(viewpoint),
-                behind_display_plane=-float(display.base_plane.depth_of(viewpoint)),
-                behind_see_through_plane=-float(see_through.base_plane.depth_of(viewpoint)),
+                behind_display_plane=-float(display.place.depth_of(viewpoint)),
+                behind_see_through_plane=-float(see_through.place.depth_of(viewpoint)),
                 viewpoint_inside=all(
                     each.eye_box.contains(viewpoint, EYE_BOX_MARGIN) for each in (display, see_through)
                 ),
@@ -136,8 +136,8 @@ class GlPlanarSolver:
             program,
             first_px=tuple(self._warp_grid.first_px),
             step_px=tuple(self._warp_grid.step_px),
-            display_plane_slope=tuple(map(float, self._display.base_plane.slope)),
-            see_through_plane_slope=tuple(map(float, self._see_through.base_plane.slope)),
+            display_plane_slope=tuple(map(float, self._display.place.slope)),
+            see_through_plane_slope=tuple(map(float, self._see_through.place.slope)),
         )
         gl.set_matrix(program, "camera_from_device", self._device_from_camera.T)
 

@@ -10,10 +10,10 @@ from wlr_render.calibration.fit_display import DISPLAY
 from wlr_render.calibration.fit_see_through import SEE_THROUGH
 from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
+from wlr_render.models import model_place
+from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.inverse import backward_start_of
-from wlr_render.models.static import StaticDisplay, StaticSeeThrough
-from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
+from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
 
 EXACT = 1e-6  # arcminutes
@@ -26,7 +26,7 @@ POSITIONS = {"planar": IN_PLANE, "volumetric": IN_VOLUME, "static": IN_VOLUME}
 PIXEL_BOX = ([0.0, 0.0], [1000.0, 800.0])
 PLACE_BOX = ([0.02, -0.01, 0.015], [0.04, 0.01, 0.025])
 TANGENT_BOX = ([-1.0, -1.0], [1.0, 1.0])
-PLACES = {"planar": 2, "volumetric": 3, "static": 0}
+PLACES = {"planar": PLANE, "volumetric": model_place.VIEWPOINT, "static": model_place.NOWHERE}
 
 
 def seen_box(places, last):
@@ -37,7 +37,7 @@ def seen_box(places, last):
 
 def display_of(structure):
     """A display of the structure whose regressor is a quadratic."""
-    box = seen_box(PLACES[structure], last=True)
+    box = seen_box(PLACES[structure].coordinates, last=True)
     orders = total_degree(len(box.low), 2)
     coefficients = np.random.default_rng(3).normal(0.0, 0.01, (len(orders), 2))
     coefficients[orders.sum(axis=1) == 0] = 0.0
@@ -45,19 +45,15 @@ def display_of(structure):
         coefficients[(orders.sum(axis=1) == 1) & (orders[:, axis] == 1), axis] = slope
     forward = Polynomial(orders, box, coefficients)
     start = backward_start_of(forward)
-    if structure == "planar":
-        return BundleDisplay(PANEL, EYE_BOX, PLANE, forward, start)
-    return (VolumetricDisplay if structure == "volumetric" else StaticDisplay)(PANEL, EYE_BOX, forward, start)
+    return DisplayModel(PANEL, EYE_BOX, PLACES[structure], forward, start)
 
 
 def see_through_of(structure):
     """A see-through model of the structure whose regressor is a quadratic."""
-    box = seen_box(PLACES[structure], last=False)
+    box = seen_box(PLACES[structure].coordinates, last=False)
     orders = total_degree(len(box.low), 2)
     deviation = Polynomial(orders, box, np.random.default_rng(4).normal(0.0, 2e-3, (len(orders), 4)) * [1, 1, 0.2, 0.2])
-    if structure == "planar":
-        return BundleSeeThrough(EYE_BOX, PLANE, deviation)
-    return (VolumetricSeeThrough if structure == "volumetric" else StaticSeeThrough)(EYE_BOX, deviation)
+    return SeeThroughModel(EYE_BOX, PLACES[structure], deviation)
 
 
 def quadratic(samples):
@@ -84,7 +80,7 @@ def test_a_display_whose_truth_is_the_regressor_is_recovered(structure):
         POSITIONS[structure], lambda pixel, viewpoint: truth.view_dir_of_pixel(pixel, viewpoint).value
     )
     model, regressor = fit_structure(DISPLAY, captures, structure, quadratic)
-    assert type(model) is type(truth)
+    assert model.place == truth.place
     assert model.forward is regressor
     found, expected = (each.view_dir_of_pixel(PIXEL, VIEWPOINT).value for each in (model, truth))
     assert arcmin_between(found, expected).max() < EXACT
@@ -99,7 +95,7 @@ def test_a_see_through_model_whose_truth_is_the_regressor_is_recovered(structure
         lambda point, viewpoint: tangents_of_dir(truth.view_dir_of_real_point(point, viewpoint).value),
     )
     model, regressor = fit_structure(SEE_THROUGH, captures, structure, quadratic)
-    assert type(model) is type(truth)
+    assert model.place == truth.place
     assert regressor.outputs == 4
     found, expected = (each.view_dir_of_real_point(POINT, VIEWPOINT).value for each in (model, truth))
     assert arcmin_between(found, expected).max() < EXACT
