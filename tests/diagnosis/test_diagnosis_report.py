@@ -103,14 +103,14 @@ def test_a_diagnosis_without_causes_has_limits_and_one_state(nothing):
     report = diagnosis_report(nothing)
     assert "Detection limits" in [table.title for table in report.tables]
     assert "Correlations between the values found" not in titles(report, Plot)
-    assert all(len(part.states) == 1 for part in part_views(nothing))
+    assert all(len(part.seen) == 1 for part in part_views(nothing))
 
 
 def test_a_run_time_session_is_drawn(late):
     (part,) = part_views(late)
     rate = next(variable for variable in part.variables if variable.name.startswith("head turns left"))
     # The dot is drawn where it was; by the time it is seen, a head turning left has carried it to the left.
-    before, after = (np.polyfit(rate.values, state.seen[:, 0], 1)[0] for state in part.states)
+    before, after = (np.polyfit(rate.values, seen[:, 0], 1)[0] for seen in part.seen.values())
     assert before == pytest.approx(-11e-3 * 60, rel=0.1)
     assert abs(after) < 0.02 * abs(before)
     items = [item for block in diagnosis_report(late).blocks if isinstance(block, Text) for item in block.items]
@@ -124,37 +124,37 @@ def test_a_run_time_session_is_drawn(late):
 
 def test_parts_hold_the_residuals_that_count_in_their_units(explained):
     display, see_through = part_views(explained)
-    before, after = display.states
-    assert np.sqrt(np.nanmean(before.on_map**2)) == pytest.approx(explained.before.display_rms_px)
-    assert np.sqrt(np.nanmean(after.seen**2)) == pytest.approx(display.sigma_arcmin, rel=0.05)
+    before, after = display.seen.values()
+    assert np.sqrt(np.nanmean(display.on_map["bench as described"] ** 2)) == pytest.approx(
+        explained.before.display_rms_px
+    )
+    assert np.sqrt(np.nanmean(after**2)) == pytest.approx(display.sigma_arcmin, rel=0.05)
     own = explained.observations.session.plan.display
-    assert np.isnan(before.seen[own.capture == 3]).all()
-    assert np.isfinite(before.seen[own.capture != 3]).all()
-    assert not any("capture 3 " in field.title for field in display.maps)
-    assert [field.title.split(" at")[0] for field in see_through.maps] == ["target pose 0", "target pose 1"]
+    assert np.isnan(before[own.capture == 3]).all()
+    assert np.isfinite(before[own.capture != 3]).all()
+    assert not any("capture 3 " in title for title in display.maps)
+    assert [title.split(" at")[0] for title in see_through.maps] == ["target pose 0", "target pose 1"]
 
 
 def test_maps_show_single_captures_from_places_far_apart(explained):
     display, plan = part_views(explained)[0], explained.observations.session.plan.display
-    places = [np.unique(plan.stage[field.rows], axis=0) for field in display.maps]
+    places = [np.unique(plan.stage[rows], axis=0) for rows in display.maps.values()]
     assert all(len(place) == 1 for place in places)
     assert len(np.unique(np.concatenate(places), axis=0)) == len(places)
 
 
 def test_maps_have_a_panel_for_each_bench_and_begin_with_the_largest_residual(explained):
     part = part_views(explained)[0]
-    last = part.maps[-1]
+    title, last = list(part.maps.items())[-1]
     size = {"bench as described": 3.0, "corrected bench": 1.0}
     # Downwards, and in one map twice as far.
-    far = 1.0 + last.rows[:, None]
-    states = tuple(
-        replace(s, on_map=np.where(np.isnan(s.on_map), np.nan, far * [0.0, size[s.name]])) for s in part.states
-    )
-    plot = plots.residual_maps(replace(part, states=states))
+    far = 1.0 + last[:, None]
+    on_map = {n: np.where(np.isnan(each), np.nan, far * [0.0, size[n]]) for n, each in part.on_map.items()}
+    plot = plots.residual_maps(replace(part, on_map=on_map))
     assert [each["text"] for each in plot.layout["annotations"]] == list(size)
     labels = [button["label"] for button in plot.layout["updatemenus"][0]["buttons"]]
-    assert labels[0] == last.title
-    assert sorted(labels) == sorted(field.title for field in part.maps)
+    assert labels[0] == title
+    assert sorted(labels) == sorted(part.maps)
     before, after = (plot.data[number]["y"][1] - plot.data[number]["y"][0] for number in (0, 2))
     assert before == pytest.approx(3 * after, rel=0.02)
     assert after > 0.0  # the axis points down

@@ -274,9 +274,9 @@ def test_expected_residuals_are_those_of_noise_and_motions(bench, plan):
         assert after == pytest.approx(expected, rel=0.15)
     display = part_views(found)[0]
     time = next(variable for variable in display.variables if variable.name == "time (s)")
-    curve = plots.binned(time, display.states[0].seen, display)
+    curve = plots.binned(time, display.seen["bench as described"], display)
     assert np.mean(np.abs(curve.means) < curve.band) > 0.85
-    still = plots.binned(time, display.states[0].seen, replace(display, motion=0.0 * display.motion))
+    still = plots.binned(time, display.seen["bench as described"], replace(display, motion=0.0 * display.motion))
     assert np.mean(np.abs(still.means) < still.band) < 0.5
 
 

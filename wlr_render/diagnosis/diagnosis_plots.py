@@ -40,16 +40,16 @@ def residual_maps(part: PartView) -> Plot:
 
 def field_maps(part: PartView, title: str, caption: str) -> Plot:
     """Plot arrows over the field of view, a panel for each state of a part, with a menu of captures."""
-    up = np.concatenate([state.on_map * [1.0, -1.0] for state in part.states], axis=1)
-    rows = {field.title: field.rows & np.isfinite(up).all(axis=1) for field in part.maps}
-    rows = {name: shown for name, shown in rows.items() if shown.any()}
+    up = np.concatenate([each * [1.0, -1.0] for each in part.on_map.values()], axis=1)
+    known = np.isfinite(up).all(axis=1)
+    rows = {name: shown & known for name, shown in part.maps.items() if np.any(shown & known)}
     largest_first = sorted(rows, key=lambda name: -float(np.mean(up[rows[name], :2] ** 2)))
     return arrow_map(
         title,
         {name: _cell_means(part.place[rows[name]], up[rows[name]]) for name in largest_first},
         part.map_unit,
         part.place_label,
-        panels=[state.name for state in part.states],
+        panels=list(part.on_map),
         y_down=True,
         caption=caption,
     )
@@ -131,18 +131,18 @@ def residual_curves(part: PartView) -> Plot:
 
 def _curves(part: PartView, variable: Variable, in_legend: bool) -> list[dict[str, Any]]:
     data: list[dict[str, Any]] = []
-    for state, colour in zip(part.states, (_BEFORE, _AFTER), strict=False):
-        curve = binned(variable, state.seen, part)
+    for (bench, seen), colour in zip(part.seen.items(), (_BEFORE, _AFTER), strict=False):
+        curve = binned(variable, seen, part)
         if not data:
             x, y = [*curve.middle, *curve.middle[::-1]], [*curve.band, *-curve.band[::-1]]
             grey = {"fill": "toself", "fillcolor": "rgba(140,140,140,0.3)", "line": {"width": 0}}
             data.append(_scatter(x, y, "lines", **grey, hoverinfo="skip", showlegend=False))
         for mean, dash in zip(curve.means, ("solid", "dot"), strict=True):
-            line = {"line": {"color": colour, "dash": dash}, "marker": {"size": 4}, "legendgroup": state.name}
+            line = {"line": {"color": colour, "dash": dash}, "marker": {"size": 4}, "legendgroup": bench}
             shown = in_legend and dash == "solid"
-            data.append(_scatter(curve.middle, mean, "lines+markers", **line, name=state.name, showlegend=shown))
+            data.append(_scatter(curve.middle, mean, "lines+markers", **line, name=bench, showlegend=shown))
         hidden = {"line": {"color": _GREY}, "visible": "legendonly", "showlegend": in_legend}
-        name = f"{state.name}: rms beyond the band"
+        name = f"{bench}: rms beyond the band"
         data.append(_scatter(curve.middle, curve.excess, "lines", **hidden, name=name, legendgroup=name))
     return data
 

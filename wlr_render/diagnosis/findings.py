@@ -20,8 +20,6 @@ from wlr_render.diagnosis.diagnosis import (
 )
 from wlr_render.diagnosis.fit import (
     Fit,
-    correlation_condition,
-    correlation_matrix,
     few_captures_factor,
     fit,
     reduced_chi_squared,
@@ -104,8 +102,11 @@ def correlations(found: Fit) -> Correlations:
     """Return the correlations between the free values of a fit."""
     hypotheses = found.explanation.hypotheses
     names = [f"{each.cause.name}.{parameter.name}" for each in hypotheses for parameter in each.cause.parameters]
-    matrix = tuple(tuple(float(value) for value in row) for row in correlation_matrix(found))
-    return Correlations(tuple(names[free] for free in found.at.free), matrix, correlation_condition(found))
+    sigma = np.sqrt(np.diag(found.covariance))
+    matrix = found.covariance / sigma / sigma[:, None]
+    condition = float(np.linalg.cond(matrix)) if found.at.free.size else 1.0
+    rows = tuple(tuple(row) for row in matrix.tolist())
+    return Correlations(tuple(names[free] for free in found.at.free), rows, condition)
 
 
 def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) -> tuple[DetectionLimit, ...]:
@@ -172,21 +173,12 @@ def capture_residuals(
     )
 
 
-PART_UNITS = ("panel px", "arcmin", "arcmin")
-"""Unit of the residual of each part of a session."""
-
-
-def in_unit_of_part(observations: Observations, residual: FloatArray, part: int) -> FloatArray:
-    """Return the residual (n_part, 2) of the readings of a part in its unit, of all residuals (n, 2) in sigma."""
-    return observations.panel_pixels(residual) if part == DISPLAY else observations.arcminutes(residual, part)
-
-
 def residual_summary(observations: Observations, residual: FloatArray, used: BoolArray) -> ResidualSummary:
     """Return the root mean squares per axis of a residual (n, 2) in units of sigma, over the readings that count."""
     used = used & np.isfinite(residual).all(axis=1)
 
     def rms(part: int) -> float | None:
-        values = in_unit_of_part(observations, residual, part)[used[observations.part == part]]
+        values = observations.in_unit_of(part, residual)[used[observations.part == part]]
         return float(np.sqrt(np.mean(values**2))) if len(values) else None
 
     return ResidualSummary(rms(DISPLAY), rms(SEE_THROUGH), rms(RUN_TIME), float(np.sqrt(np.mean(residual[used] ** 2))))

@@ -274,14 +274,3 @@ def few_captures_factor(found: Fit, observations: Observations) -> float:
         return 1.0
     freedom = max(1, count - found.at.free.size // 3)
     return float(student.ppf(0.841344746, freedom))
-
-
-def correlation_condition(found: Fit) -> float:
-    """Condition number of the correlations between the fitted values: 1 if they are uncorrelated."""
-    return float(np.linalg.cond(correlation_matrix(found))) if found.at.free.size else 1.0
-
-
-def correlation_matrix(found: Fit) -> FloatArray:
-    """Correlations (p, p) between the free parameters of a fit."""
-    sigma = np.sqrt(np.diag(found.covariance))
-    return np.asarray(found.covariance / sigma / sigma[:, None])

@@ -20,6 +20,8 @@ from wlr_render.numerics.cells import Cells
 
 DISPLAY, SEE_THROUGH, RUN_TIME = 0, 1, 2
 PART_NAMES = ("display", "see-through", "run-time")
+PART_UNITS = ("panel px", "arcmin", "arcmin")
+"""Unit of the residual of each part of a session."""
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _SAME_DISTANCE = 1.05  # ratio of neighbouring distances up to which they are one
 _PIXEL_STEP = 0.5  # camera pixels, of the central differences for the noise
@@ -127,8 +129,10 @@ class Observations:
             place[self.part == SEE_THROUGH] = self.session.readings.dot_pixel
         return place
 
-    def panel_pixels(self, residual: FloatArray) -> FloatArray:
-        """Return the residual of the display readings in panel pixels, (n_display, 2)."""
+    def in_unit_of(self, part: int, residual: FloatArray) -> FloatArray:
+        """Return the residual of a part's readings in the part's unit, (n_part, 2), see `PART_UNITS`."""
+        if part != DISPLAY:
+            return self.arcminutes(residual, part)
         own = residual[self.part == DISPLAY] * self.sigma_of(DISPLAY)
         return np.asarray((self.panel_from_camera @ own[:, :, None])[:, :, 0])
 

@@ -222,6 +222,11 @@ class Predictor:
         """
         return self._differences(explanation, len(explanation.vector()) - len(explanation.values[-1]), state)
 
+    def signature(self, hypothesis: Hypothesis, values: FloatArray | None = None) -> Linearisation:
+        """Return the linearisation by the parameters of one cause alone, at its null values unless others are given."""
+        explanation = Explanation().plus(hypothesis, values)
+        return self.added(self.state(Explanation()), explanation)
+
     def extended(self, old: Linearisation, state: State, explanation: Explanation) -> Linearisation:
         """Return the linearisation by all parameters; derivatives of all causes but the last come from `old`.
 

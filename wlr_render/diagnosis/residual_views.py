@@ -1,7 +1,4 @@
-"""Residuals of each part of a session: over the field of view, and against each variable.
-
-Angles are seen by the camera, in arcminutes to the right and down.
-"""
+"""Residuals of each part of a session: over the field of view, and against each variable."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -10,8 +7,7 @@ import numpy as np
 
 from wlr_render.captures.session import StagePlan
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.findings import PART_UNITS, in_unit_of_part
-from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, Observations
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, PART_UNITS, Observations
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
@@ -34,59 +30,34 @@ class Variable:
 
 
 @dataclass(frozen=True, eq=False)
-class FieldMap:
-    """The readings that one map of the field of view shows.
-
-    Attributes:
-        title: one line.
-        rows: (m,) mask of readings that count.
-    """
-
-    title: str
-    rows: BoolArray
-
-
-@dataclass(frozen=True, eq=False)
-class BenchResiduals:
-    """Residuals by one bench, right and down; NaN where a reading does not count or is not predicted.
-
-    Attributes:
-        name: of the bench.
-        seen: (m, 2) in arcminutes as the camera sees it.
-        on_map: (m, 2) in the unit of the maps.
-    """
-
-    name: str
-    seen: FloatArray
-    on_map: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class PartView:
     """One part of a session.
 
     Attributes:
         name: of the part.
-        states: by the bench as described and, where something is corrected, by the corrected one.
+        seen: (m, 2) residual in arcminutes, right and down as the camera sees it, by name of the bench: as described
+            and, where something is corrected, corrected. NaN where a reading does not count or is not predicted.
+        on_map: (m, 2) the same in the unit of the maps.
         sigma_arcmin: noise, per axis.
         motion: (m, 2, 6) change of the readings, right and down in arcminutes, by the usual motion of their capture.
         group: (m,) the capture of each reading, by number.
         place: (m, 2) where in the field each reading is, right and down.
         map_unit: unit of the arrows of the maps.
         place_label: titles of their axes.
-        maps: maps to draw.
+        maps: (m,) readings of each map to draw, by its title.
         variables: variables that differ between readings.
     """
 
     name: str
-    states: tuple[BenchResiduals, ...]
+    seen: Mapping[str, FloatArray]
+    on_map: Mapping[str, FloatArray]
     sigma_arcmin: float
     motion: FloatArray
     group: IntArray
     place: FloatArray
     map_unit: str
     place_label: tuple[str, str]
-    maps: tuple[FieldMap, ...]
+    maps: Mapping[str, BoolArray]
     variables: tuple[Variable, ...]
 
 
@@ -117,29 +88,27 @@ def part_view(
         usual_motion: (n, 2, q) change of the readings by the usual motion of their capture, in units of sigma.
     """
     rows = observations.part == part
+    counted = {name: np.where(used[:, None], residual, np.nan) for name, residual in states.items()}
     used = used[rows]
     place, maps, variables = (_display, _see_through, _run_time)[part](observations, used)
-    shown = []
-    for name, residual in states.items():
-        seen_and_mapped = observations.arcminutes(residual, part), in_unit_of_part(observations, residual, part)
-        shown.append(BenchResiduals(name, *(np.where(used[:, None], each, np.nan) for each in seen_and_mapped)))
     sigma_px = float(np.sqrt(np.mean(observations.sigma_of(part) ** 2)))
     motion = [observations.arcminutes(each, part) for each in np.moveaxis(usual_motion, 2, 0)]
     return PartView(
         PART_NAMES[part],
-        tuple(shown),
+        {name: observations.arcminutes(each, part) for name, each in counted.items()},
+        {name: observations.in_unit_of(part, each) for name, each in counted.items()},
         sigma_px / float(np.mean(observations.nominal.camera.focal_px) * ARCMIN),
         np.stack(motion, axis=-1),
         observations.group[rows],
         place,
         PART_UNITS[part],
         ("panel u (px)", "panel v (px)") if part == DISPLAY else ("right (deg)", "down (deg)"),
-        tuple(maps),
+        maps,
         tuple(variable for variable in variables if np.ptp(variable.values) > 1e-9),
     )
 
 
-_View = tuple[FloatArray, list[FieldMap], list[Variable]]
+_View = tuple[FloatArray, dict[str, BoolArray], list[Variable]]
 """Place in the field of view (m, 2), right and down, of each reading of a part; its maps and variables."""
 
 
@@ -160,10 +129,7 @@ def _display(observations: Observations, used: BoolArray) -> _View:
     stage = plan.stage[captures]
     middle = captures[np.argmin(np.linalg.norm(stage - stage.mean(axis=0), axis=1))]
     others = _far_apart(plan.stage, [captures] * (min(_MOST, len(captures)) - 1), plan.stage[middle])
-    maps = [
-        FieldMap(_title(observations, plan, row), used & (plan.capture == plan.capture[row]))
-        for row in (middle, *others)
-    ]
+    maps = {_title(observations, plan, row): used & (plan.capture == plan.capture[row]) for row in (middle, *others)}
     return pixel, maps, variables
 
 
@@ -186,13 +152,12 @@ def _see_through(observations: Observations, used: BoolArray) -> _View:
     of_pose = [
         np.flatnonzero(used & (plan.target_pose == pose)) for pose in _some(poses[np.argsort(distance[used][first])])
     ]
-    maps = [
-        FieldMap(
-            f"target pose {plan.target_pose[row]} at {distance[row]:.2f} m, {_title(observations, plan, row)}",
-            used & (plan.target_pose == plan.target_pose[row]) & (plan.capture == plan.capture[row]),
+    maps = {
+        f"target pose {plan.target_pose[row]} at {distance[row]:.2f} m, {_title(observations, plan, row)}": (
+            used & (plan.target_pose == plan.target_pose[row]) & (plan.capture == plan.capture[row])
         )
         for row in _far_apart(plan.stage, of_pose, plan.stage[used].mean(axis=0))
-    ]
+    }
     return place, maps, variables
 
 
@@ -214,7 +179,7 @@ def _run_time(observations: Observations, used: BoolArray) -> _View:
         Variable("dot down in the field (deg)", -real_deg[:, 1]),
     ]
     numbers = _some(np.unique(plan.capture[used]))
-    maps = [FieldMap(f"recording {number}", used & (plan.capture == number)) for number in numbers]
+    maps = {f"recording {number}": used & (plan.capture == number) for number in numbers}
     return real_deg * [1.0, -1.0], maps, variables
 
 

@@ -82,13 +82,13 @@ class Signatures:
             progress: called with a sentence at each hypothesis.
         """
         predictor, plan = readings.predictor, readings.observations.session.plan
-        nothing, columns, first = predictor.state(Explanation()), [np.zeros((len(readings.observations), 2, 0))], 0
+        columns, first = [np.zeros((len(readings.observations), 2, 0))], 0
         of_hypothesis = {}
         for number, hypothesis in enumerate(hypotheses):
             progress(f"signature of {hypothesis.cause.name} ({number + 1}/{len(hypotheses)})")
             starts = []
             for start in _starts(hypothesis.cause, plan):
-                at = predictor.added(nothing, Explanation().plus(hypothesis, start))
+                at = predictor.signature(hypothesis, start)
                 columns.append(at.jacobian)
                 starts.append((start, at.free, first + np.arange(at.free.size)))
                 first += at.free.size
@@ -169,8 +169,7 @@ class _Screening:
     def _simulated(self, hypothesis: Hypothesis, start: FloatArray) -> ScreenedHypothesis:
         """Return the gain from a start that has no signature yet."""
         readings = self.signatures.readings
-        nothing = Explanation()
-        at = readings.predictor.added(readings.predictor.state(nothing), nothing.plus(hypothesis, start))
+        at = readings.predictor.signature(hypothesis, start)
         columns = np.concatenate([self.current.at.jacobian, at.jacobian], axis=-1)
         return self._gain(hypothesis, start, at.free, readings.sums(self.current.at.residual, columns))
 

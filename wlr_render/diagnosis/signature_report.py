@@ -11,10 +11,9 @@ from wlr_render.bench.bench import Bench
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.diagnosis_plots import field_maps
-from wlr_render.diagnosis.findings import PART_UNITS, in_unit_of_part
 from wlr_render.diagnosis.fit import times_between_captures
-from wlr_render.diagnosis.observations import PART_NAMES
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.observations import PART_NAMES, PART_UNITS
+from wlr_render.diagnosis.prediction import Hypothesis, Predictor
 from wlr_render.diagnosis.residual_views import part_view
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Block, Report, ReportTable, table
@@ -99,11 +98,10 @@ def _signatures(predictor: Predictor, cause: Cause, variant: str) -> list[Signat
             start[number] = times[len(times) // 2]
         elif parameter.role is Role.SHAPE and len(parameter.starts) > 1:
             start[number] = parameter.starts[len(parameter.starts) // 2]
-    nothing = Explanation()
-    at = predictor.added(predictor.state(nothing), nothing.plus(Hypothesis(cause, variant), start))
+    at = predictor.signature(Hypothesis(cause, variant), start)
     signatures = []
     for number, change in zip(at.free, np.moveaxis(at.jacobian, 2, 0), strict=True):
-        seen = {part: in_unit_of_part(observations, change, int(part)) for part in np.unique(observations.part)}
+        seen = {part: observations.in_unit_of(int(part), change) for part in np.unique(observations.part)}
         rms = {PART_NAMES[part]: float(np.sqrt(np.mean(each**2))) or None for part, each in seen.items()}
         signatures.append(Signature(variant, cause.parameters[number], change, rms))
     return signatures
