@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from wlr_render.diagnosis.field_contest import FieldContest
 from wlr_render.diagnosis.field_terms import ELSEWHERE, StationField
 from wlr_render.diagnosis.fit import (
     Fit,
@@ -20,7 +21,6 @@ from wlr_render.diagnosis.fit import (
 )
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, held_out_residual
 from wlr_render.diagnosis.located_effects import LocatedEffect
-from wlr_render.diagnosis.name_contest import NameContest
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation
 from wlr_render.diagnosis.screening import HOPELESS, ScreenedHypothesis, Signatures, best_fit, screen
 from wlr_render.diagnosis.settings import DEFAULT, Settings
@@ -108,9 +108,9 @@ class Search:
         columns = [field.columns for field in self.fields]
         return Signatures.of(self.subsample, self.hypotheses, columns, self.progress)
 
-    def contest(self, at: Fit) -> NameContest:
+    def contest(self, at: Fit) -> FieldContest:
         """Return the contest of all fields against a fit to the subsample."""
-        return NameContest(self.subsample, at, self.fields, self.signatures.fixed)
+        return FieldContest(self.subsample, at, self.fields, self.signatures.fixed)
 
     def with_effects(self, effects: Sequence[LocatedEffect], beside: Explanation, constants: bool) -> "Search":
         """Return the same search with located effects at work, whatever their coefficients.
@@ -187,7 +187,7 @@ class Search:
         fits, rough = self._candidates(at, found, field_gain)
         return self._equally_searched(CandidateRanking(current, tuple(found), tuple(fits), tuple(rough), field_gain))
 
-    def _field_gain(self, contest: NameContest, screened: Sequence[ScreenedHypothesis]) -> float:
+    def _field_gain(self, contest: FieldContest, screened: Sequence[ScreenedHypothesis]) -> float:
         """Return the fall of -2 log evidence by the best field if it far exceeds the fall by all causes, else 0."""
         worth = self.settings.least_log10_odds / LOG10_ODDS
         if not self.fields or not screened or max(each.gain for each in screened) < worth:

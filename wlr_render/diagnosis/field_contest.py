@@ -1,5 +1,7 @@
 """Effects that are located at a station by evidence: fields compete with each other, with causes, and with chance.
 
+A cause that a displacement of any shape does as well has not earned its name.
+
 All fields and the causes of a fit are columns of one linear model with random motions of the captures
 (`scatter`). The evidence for a field is the probability of the readings with its coefficients integrated out, over an
 unknown common size; the known causes and the effects located before are integrated out, too. Everything follows from
@@ -10,18 +12,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
-from typing import Self
 
 import numpy as np
 
 from wlr_render.bench.bench_effects import BenchEffect
-from wlr_render.diagnosis.field_terms import StationField
+from wlr_render.diagnosis.field_terms import ELSEWHERE, StationField
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, left_out_residual
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.settings import BEYOND_DOUBT
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.scatter import (
     LOG10_ODDS,
     Known,
@@ -42,6 +43,9 @@ MOST_EFFECTS = 3
 _FAIR_SHARE = 0.25  # least log odds of a further effect, relative to the first effect's
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
 _NONE = np.zeros(0, dtype=np.int64)  # columns
+_OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
+_MEAN_OF_DRIFT = 4.0  # size of a drift's constant over its other terms'; rms 3.5 to 5.2 for walks of degree 2 to 12
+_NEARLY_ALL = 0.95  # share of the evidence for cause and field together from which a cause needs no field
 _LARGER_NOISE = 1.05  # noise over that within photographs from which it is tried as well
 
 
@@ -73,14 +77,6 @@ class FieldContest:
         return np.asarray(len(self.fixed.mean) - sum(sizes) + np.cumsum([0, *sizes])[: len(sizes)])
 
     @cached_property
-    def _order(self) -> IntArray:
-        """Order of the function of each fixed column; -1 for columns of causes."""
-        order = np.full(len(self.fixed.mean), -1)
-        for first, field in zip(self._first, self.fields, strict=True):
-            order[first : first + field.order.size] = field.order
-        return order
-
-    @cached_property
     def _causes(self) -> IntArray:
         """Columns of the causes of the fit."""
         return np.asarray(len(self.fixed.mean) + np.arange(self.found.at.free.size))
@@ -97,14 +93,6 @@ class FieldContest:
             for less, noise in product(_LESS_MOTION, noises)
         ]
         return [(marginal(self.sums, each), surprise(each, self.sums)) for each in tried]
-
-    @cached_property
-    def _charge(self) -> FloatArray:
-        """Charge in -2 log evidence of each fixed column for the number of fields from which its field was chosen."""
-        charge = np.zeros(len(self.fixed.mean))
-        for first, field in zip(self._first, self.fields, strict=True):
-            charge[first : first + field.order.size] = 2.0 * np.log(field.alternatives)
-        return charge
 
     def _columns(self, number: int, degree: int, above: int = -1) -> IntArray:
         return np.asarray(self._first[number] + np.flatnonzero(self.fields[number].counting(degree, above)))
@@ -142,7 +130,7 @@ class FieldContest:
             effects.append(replace(best, is_rest=bool(before)))
         return effects
 
-    def with_effects(self, effects: Sequence[LocatedEffect]) -> Self:
+    def with_effects(self, effects: Sequence[LocatedEffect]) -> "FieldContest":
         """Return the contest with the residual corrected for the nonlinear part of the effects at their values."""
         predictor, linear = self.readings.predictor, self.found.at.residual
         added, scatter = list[BenchEffect](), self.scatter_beside(effects)
@@ -167,11 +155,13 @@ class FieldContest:
         known, left = self._known((), self._causes), list(shapes)
         least = start = self._least(known)
         for _ in range(most):
-            tried = [self._least(_with_columns(known, each)) for each in left]
+            more = [Known(np.r_[known.columns, each], np.r_[known.sigma, np.ones(len(each))]) for each in left]
+            tried = [self._least(each) for each in more]
             if not tried or min(tried) >= least:
                 break
             least, best = min(tried), int(np.argmin(tried))
-            known = _with_columns(known, left.pop(best))
+            known = more[best]
+            del left[best]
         return start - least
 
     @cached_property
@@ -185,7 +175,7 @@ class FieldContest:
         # Functions of a higher order than the located ones may have another size.
         taken = {id(each.field): each.degree for each in sorted(beside, key=lambda each: each.degree)}
         tried = [
-            (number, degree)
+            (number, degree, taken.get(id(field), -1))
             for number, field in enumerate(self.fields)
             for degree in field.degrees
             if id(field) not in taken or (further and field.counting(degree, taken[id(field)]).any())
@@ -195,9 +185,8 @@ class FieldContest:
         none = self._least(known)
         charge = float(np.log10(len(tried)))
         best: dict[int, LocatedEffect] = {}
-        for number, degree in tried:
-            above = taken.get(id(self.fields[number]), -1)
-            least, size = self._least_of(self._columns(number, degree, above), known)
+        for number, degree, above in tried:
+            least, size = self._least_of((number, degree, above), known)
             odds = LOG10_ODDS * (none - least) - charge
             if number not in best or odds > best[number].log10_odds:
                 best[number] = LocatedEffect(self.fields[number], degree, size, odds, above=above)
@@ -213,28 +202,31 @@ class FieldContest:
         return min(sums.of_columns(known).minus_two_log_evidence + cost for sums, cost in self._scatters)
 
     def _least_of(
-        self, columns: IntArray, known: Known, added: IntArray = _NONE, mean: float = 1.0
+        self, tried: tuple[int, int, int], known: Known, added: IntArray = _NONE, mean: float = 1.0
     ) -> tuple[float, float]:
         """-2 log evidence of a field with the known columns, over all sizes, and its most probable size.
 
-        `added` are columns of causes that the field has as well, at unit rms. The field's constants are `mean` times as
-        large as its other coefficients.
+        Args:
+            tried: number of the field, its degree, and the order above which its functions count.
+            known: the columns that are integrated out.
+            added: columns of causes that the field has as well, at unit rms.
+            mean: size of the field's constants over the size of its other coefficients.
         """
+        columns, field = self._columns(*tried), self.fields[tried[0]]
+        own = self.found.at.jacobian[:, :, added - len(self.fixed.mean)]
+        constant = field.order[field.counting(*tried[1:])] == 0
+        scale = np.r_[np.where(constant, mean, 1.0), 1.0 / np.sqrt(np.mean(own**2, axis=(0, 1)))]
         bases, tridiagonals = [], []
         for sums, cost in self._scatters:
             alone = sums.folded(known, np.r_[columns, added])
-            scale = np.ones(len(alone.gradient))
-            scale[: len(columns)][self._order[columns] == 0] = mean
-            scale[len(columns) :] = 1.0 / np.sqrt(
-                np.mean(self.found.at.jacobian[:, :, added - len(self.fixed.mean)] ** 2, axis=(0, 1))
-            )
             bases.append(alone.minus_two_log + cost)
             tridiagonals.append(tridiagonal(scale[:, None] * alone.information * scale, scale * alone.gradient))
         costs = costs_of_sizes(tridiagonals, _SIZES)
         # All sizes are equally likely beforehand.
         least = np.array(bases) - 2.0 * (np.logaddexp.reduce(-0.5 * costs, axis=1) - np.log(len(_SIZES)))
         best = int(np.argmin(least))
-        return float(least[best] + self._charge[columns[0]]), float(_SIZES[int(np.argmin(costs[best]))])
+        charge = 2.0 * np.log(field.alternatives)
+        return float(least[best] + charge), float(_SIZES[int(np.argmin(costs[best]))])
 
     def scatter_beside(self, effects: Sequence[LocatedEffect]) -> Scatter:
         """Return the sizes of noise and motions with the causes and effects at work."""
@@ -283,7 +275,107 @@ class FieldContest:
         share = removed / max(before_sum - expected, removed, 1e-9)
         return held_out_improvement(left[acts], after[acts], group[acts]), share
 
+    def odds_of_cause(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> tuple[float, str]:
+        """Return log10 odds for a cause against the fields that come closest, and the station of these.
 
-def _with_columns(known: Known, columns: IntArray) -> Known:
-    """Add columns in units of prior sigmas to the known ones."""
-    return Known(np.concatenate([known.columns, columns]), np.r_[known.sigma, np.ones(len(columns))])
+        A prism in the view turns it as a wrong pose of the target does: a name that a field of another station
+        could take is not earned.
+
+        Args:
+            number: index of the cause in the fit.
+            station: its station.
+            beside: effects located in addition to it.
+        """
+        located, mine = {each.field.station for each in beside}, self.found.owner == number
+        odds = [(self._odds_at_its_station(mine, station, beside), station)]
+        for other in sorted({field.station for field in self.fields} - {station}):
+            against = self._odds_beside if other in located else self._odds_against
+            odds.append((against(mine, other, beside), other))
+        return min(odds)
+
+    def odds_of_all_causes(self, beside: Sequence[LocatedEffect]) -> tuple[float, str]:
+        """Return log10 odds for all causes against one field in their place, and the station of that field."""
+        every = np.ones(self.found.at.free.size, dtype=bool)
+        stations = sorted({field.station for field in self.fields} - {each.field.station for each in beside})
+        odds = [(self._odds_against(every, station, beside), station) for station in stations]
+        return min(odds, default=(float("inf"), ""))
+
+    def _odds_at_its_station(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Return log10 odds for a cause, alone or with a field, against the fields of its station.
+
+        If cause and field explain more together, the fields get the cause's shape as well: otherwise they could not
+        imitate it, and its name would always win. This does not apply to a cause that explains nearly all alone.
+        """
+        named, unnamed = self._with_and_without(mine, station, beside)
+        tried, span = self._tried_at(station), unnamed.moved
+        if not tried:
+            return float("inf")
+        charge = 2.0 * float(np.log(len(tried)))
+        alone, nothing = self._least(named), self._least(unnamed)
+        both, field = (self._least_of_any(tried, known) + charge for known in (named, unnamed))
+        if nothing - alone > _NEARLY_ALL * (nothing - min(alone, both)):
+            return float(LOG10_ODDS * (min(nothing, field) - min(alone, both)))
+        spanned = min(
+            self._least_of(each, unnamed, span[self._beyond(self._columns(*each), span) > _OWN_SHAPE])[0]
+            for each in tried
+        )
+        # Together with a field of its station a cause keeps its name only if it is the better of the two; otherwise it
+        # is a part of that field with a similar shape.
+        with_name = min(alone, both) if alone < field else alone
+        return float(LOG10_ODDS * (min(nothing, spanned + charge) - with_name))
+
+    def _odds_beside(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Log10 odds for a cause against none where a field of another station may explain the same."""
+        named, unnamed = self._with_and_without(mine, station, beside)
+        tried = self._tried_at(station)
+        means = (1.0, _MEAN_OF_DRIFT) if station in ELSEWHERE else (1.0,)
+        without, with_name = (
+            min(self._least_of(each, known, mean=mean)[0] for each in tried for mean in means)
+            for known in (unnamed, named)
+        )
+        return LOG10_ODDS * (without - with_name)
+
+    def _odds_against(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Return log10 odds for causes against the fields of a station that replace them.
+
+        A constant at a station in `ELSEWHERE` is a motion of another station as a whole: it rivals no name.
+        """
+        named, unnamed = self._with_and_without(mine, station, beside)
+        tried = self._tried_at(station, constants=station not in ELSEWHERE)
+        if not tried:
+            return float("inf")
+        field = self._least_of_any(tried, unnamed) + 2.0 * float(np.log(len(tried)))
+        return LOG10_ODDS * (field - self._least(named))
+
+    def _least_of_any(self, tried: Sequence[tuple[int, int, int]], known: Known) -> float:
+        return min(self._least_of(each, known)[0] for each in tried)
+
+    def _tried_at(self, station: str, constants: bool = True) -> list[tuple[int, int, int]]:
+        """All fields of a station, by degree; without its constants, if it has others."""
+        above = -1 if constants else 0
+        return [
+            (number, degree, above)
+            for number, field in enumerate(self.fields)
+            for degree in field.degrees
+            if field.station == station and field.counting(degree, above).any()
+        ]
+
+    def _with_and_without(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> tuple[Known, Known]:
+        """Return the model with causes, and without them, at their null values.
+
+        `mine` is a mask (p,) of these causes' columns in the fit.
+        """
+        elsewhere = [each for each in beside if each.field.station != station]
+        unnamed = self._known(elsewhere, self._causes[~mine])
+        # The causes' own values count from none.
+        unnamed = unnamed._replace(moved=self._causes[mine], by=-self.found.effects[mine])
+        return self._known(elsewhere, self._causes), unnamed
+
+    def _beyond(self, columns: IntArray, span: IntArray) -> FloatArray:
+        """Share of each column of a span (s,) that lies outside some columns, as the readings weigh them."""
+        sums, _ = self._scatters[0]
+        own = sums.information[np.ix_(columns, columns)]
+        across = sums.information[np.ix_(columns, span)]
+        ridge = 1e-9 * float(np.trace(own)) * np.eye(len(columns))
+        inside = np.sum(across * np.linalg.solve(own + ridge, across), axis=0)
+        return np.asarray(np.sqrt((1.0 - inside / np.diag(sums.information)[span]).clip(0.0)))

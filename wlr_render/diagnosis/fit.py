@@ -36,7 +36,6 @@ class Fit:
     """A fitted explanation.
 
     Attributes:
-        explanation: with the fitted values.
         at: the linearisation at the solution, in units of sigma.
         scatter: sizes of noise and motions.
         residual: (n, 2) measured minus predicted with independent errors of unit size.
@@ -46,7 +45,6 @@ class Fit:
         minus_two_log_evidence: of the readings, up to a constant; lower is better.
     """
 
-    explanation: Explanation
     at: Linearisation
     scatter: Scatter
     residual: FloatArray
@@ -54,6 +52,11 @@ class Fit:
     chi_squared: float
     information: FloatArray
     minus_two_log_evidence: float
+
+    @property
+    def explanation(self) -> Explanation:
+        """The causes with the fitted values."""
+        return self.at.explanation
 
     @cached_property
     def covariance(self) -> FloatArray:
@@ -119,7 +122,7 @@ def fit(
     residual, jacobian = whiten(found.residual), whiten(found.jacobian)
     rows = jacobian.reshape(residual.size, found.free.size)
     information = rows.T @ rows + np.eye(found.free.size)
-    return Fit(found.explanation, found, scatter, residual, jacobian, float(np.sum(residual**2)), information, evidence)
+    return Fit(found, scatter, residual, jacobian, float(np.sum(residual**2)), information, evidence)
 
 
 def _settled(

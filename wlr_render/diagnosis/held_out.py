@@ -87,8 +87,7 @@ def jackknife(found: Fit, group: IntArray, groups: int) -> FloatArray:
         group: (n,) capture of each reading.
         groups: number of captures.
     """
-    prior_sigma = np.array([parameter.prior_sigma for parameter in found.explanation.parameters()])
-    changes = left_out_changes(found, group, groups) * prior_sigma[found.at.free]
+    changes = left_out_changes(found, group, groups) * found.explanation.prior_sigma[found.at.free]
     changes = changes[np.isfinite(changes).all(axis=1)]
     count = len(changes)
     if count < 2:

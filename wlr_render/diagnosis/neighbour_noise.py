@@ -175,5 +175,4 @@ def _contrasts(observations: Observations, residual: FloatArray, rows: IntArray,
     place = observations.image_place[rows]
     degree = _SMOOTHEST if len(rows) >= _ENOUGH_FOR_A_CUBIC else _SMOOTHEST - 1
     design = basis(place, total_degree(2, degree), Box.around(place)) / shape[rows][:, None]
-    across = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
-    return Contrasts.of(place, across, residual[rows] / shape[rows][:, None])
+    return Contrasts.of(place, design, residual[rows] / shape[rows][:, None])

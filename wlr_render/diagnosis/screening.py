@@ -128,19 +128,31 @@ class _Screening:
 
     def of(self, hypothesis: Hypothesis) -> ScreenedHypothesis | None:
         """Return the gain of a hypothesis with noise and motions as they are, or with no capture that moved."""
-        starts = self.signatures.of_hypothesis[hypothesis.cause.name, hypothesis.variant]
-        best = max((self._at(hypothesis, *each) for each in starts), key=lambda each: each.gain, default=None)
+        screened = [
+            self._gain(hypothesis, start, free, self.sums.of_columns(np.r_[self._causes, columns]), columns)
+            for start, free, columns in self.signatures.of_hypothesis[hypothesis.cause.name, hypothesis.variant]
+        ]
+        best = max(screened, key=lambda each: each.gain, default=None)
         if best is None or best.parameters == 0:
             return None
         roles = [parameter.role for parameter in hypothesis.cause.parameters]
         if Role.TIME in roles:
-            plan = self.signatures.readings.observations.session.plan
-            return _with_better_time(
-                lambda start: self._simulated(hypothesis, start),
-                best,
-                roles.index(Role.TIME),
-                times_between_captures(plan),
-            )
+            return self._with_better_time(best, roles.index(Role.TIME))
+        return best
+
+    def _with_better_time(self, best: ScreenedHypothesis, place: int) -> ScreenedHypothesis:
+        """Try the times around the best so far, ever closer, until its neighbours have been tried."""
+        times = times_between_captures(self.signatures.readings.observations.session.plan)
+        stride = max(1, len(times) // (2 * _TIMES))
+        while stride >= 1:
+            at = int(np.argmin(np.abs(times - best.start[place])))
+            neighbours = {max(at - stride, 0), min(at + stride, len(times) - 1)} - {at}
+            if not neighbours:
+                break
+            starts = (_with(best.start, place, float(times[n])) for n in neighbours)
+            found = max((self._simulated(best.hypothesis, each) for each in starts), key=lambda each: each.gain)
+            stride = stride if found.gain > best.gain else stride // 2
+            best = max(best, found, key=lambda each: each.gain)
         return best
 
     def with_own_scatter(self, screened: ScreenedHypothesis) -> ScreenedHypothesis:
@@ -161,10 +173,6 @@ class _Screening:
     @cached_property
     def _base(self) -> float:
         return cost(self.sums.of_columns(self._causes), self.current.scatter)
-
-    def _at(self, hypothesis: Hypothesis, start: FloatArray, free: IntArray, columns: IntArray) -> ScreenedHypothesis:
-        sums = self.sums.of_columns(np.concatenate([self._causes, columns]))
-        return self._gain(hypothesis, start, free, sums, columns)
 
     def _simulated(self, hypothesis: Hypothesis, start: FloatArray) -> ScreenedHypothesis:
         """Return the gain from a start that has no signature yet."""
@@ -193,22 +201,6 @@ class _Screening:
         best = int(np.argmin(costs))
         gain = self._base - costs[best] if free.size else 0.0
         return ScreenedHypothesis(hypothesis, start, gain, free.size, scatters[best], sums, columns)
-
-
-def _with_better_time(
-    of: Callable[[FloatArray], ScreenedHypothesis], best: ScreenedHypothesis, place: int, times: FloatArray
-) -> ScreenedHypothesis:
-    """Try the times around the best so far, ever closer, until its neighbours have been tried."""
-    stride = max(1, len(times) // (2 * _TIMES))
-    while stride >= 1:
-        at = int(np.argmin(np.abs(times - best.start[place])))
-        neighbours = {max(at - stride, 0), min(at + stride, len(times) - 1)} - {at}
-        if not neighbours:
-            break
-        found = max((of(_with(best.start, place, float(times[n]))) for n in neighbours), key=lambda p: p.gain)
-        stride = stride if found.gain > best.gain else stride // 2
-        best = max(best, found, key=lambda each: each.gain)
-    return best
 
 
 def best_fit(readings: WeighedReadings, current: Fit, screened: ScreenedHypothesis) -> Fit | None:

@@ -319,8 +319,7 @@ def values_to_type(diagnosis: Diagnosis) -> list[str]:
     the fit. A changed prescription of the headset is not among them.
     """
     nominal, fit = diagnosis.observations.nominal, diagnosis.fit
-    prior_sigma = np.array([parameter.prior_sigma for parameter in fit.explanation.parameters()])[fit.at.free]
-    steps = prior_sigma / np.sqrt(np.diag(fit.information))
+    steps = fit.explanation.prior_sigma[fit.at.free] / np.sqrt(np.diag(fit.information))
     stepped = [_changed_after_step(diagnosis, *each) for each in zip(fit.at.free, steps, strict=True)]
     lines = []
     for table, keys in changed_keys(nominal, diagnosis.corrected).items():

@@ -102,8 +102,10 @@ class Contrasts:
     square: FloatArray
 
     @classmethod
-    def of(cls, place: FloatArray, across: FloatArray, values: FloatArray) -> "Contrasts":
-        """Contrasts (n, c) of values (n, k) of readings at places (n, 2)."""
+    def of(cls, place: FloatArray, design: FloatArray, values: FloatArray) -> "Contrasts":
+        """Contrasts of values (n, k) of readings at places (n, 2) in which no column of a design (n, p) has a part."""
+        axes, sizes, _ = np.linalg.svd(design)
+        across = np.asarray(axes[:, int(np.sum(sizes > 1e-9 * sizes[0])) :])
         seen = across.T @ values
         return cls(cdist(place, place), across, seen @ seen.T)
 
@@ -145,7 +147,7 @@ def find_shared_noise(
     for each in chosen:
         rows = _patch(places[each], rng)
         values = np.hstack([residuals[each][rows], np.sqrt(2.0) * unsure(each, rows)])
-        patches.append(Contrasts.of(places[each][rows], _across(places[each][rows]), values))
+        patches.append(Contrasts.of(places[each][rows], _polynomials(places[each][rows]), values))
 
     @cache
     def minus_two(row: int, is_smooth: bool) -> FloatArray:
@@ -188,9 +190,7 @@ def _patch(place: FloatArray, rng: np.random.Generator) -> IntArray:
     return np.argsort(np.sum((place - middle) ** 2, axis=1))[:_READINGS]
 
 
-def _across(place: FloatArray) -> FloatArray:
-    """Return orthonormal contrasts (n, n - p) in which no polynomial over the places has a part."""
+def _polynomials(place: FloatArray) -> FloatArray:
+    """Return the polynomials (n, p) over the places that a motion of the camera may have."""
     order = next(n for n in range(_TOP_ORDER, -1, -1) if n == 0 or term_count(2, n) * _PER_TERM <= len(place))
-    design = basis(place, total_degree(2, order), Box.around(place))
-    axes, sizes, _ = np.linalg.svd(design)
-    return np.asarray(axes[:, int(np.sum(sizes > 1e-9 * sizes[0])) :])
+    return basis(place, total_degree(2, order), Box.around(place))
