@@ -35,7 +35,7 @@ from wlr_render.captures.session import Session
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.noise import noise_of
-from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, CaptureName, observe
+from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, CaptureName
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.settings import Settings
@@ -331,5 +331,5 @@ def _rms(bench: Bench, session: Session) -> float:
 
 
 def _residual(bench: Bench, session: Session) -> FloatArray:
-    observations = observe(bench, session)
+    observations = Predictor.of_session(bench, session).observations
     return observations.residual(simulate(bench, observations.session.plan))

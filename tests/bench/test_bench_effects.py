@@ -11,7 +11,7 @@ from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.bench.session_captures import captures_of, session_of
 from wlr_render.bench.simulate_session import display_dirs, simulate
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
-from wlr_render.diagnosis.observations import observe
+from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.numerics.cells import Cells
@@ -194,7 +194,7 @@ def test_a_view_by_places_on_a_later_surface_moves_what_meets_it_there(bench, pl
     np.testing.assert_array_equal(moved[seen], np.all(np.floor(places) == cell, axis=1)[seen])
     assert 0 < moved.sum() < seen.sum()
     session = Session("s", one, simulate(folded, one))
-    slopes = [observe(each, session).panel_from_camera for each in (folded, stated)]
+    slopes = [Predictor.of_session(each, session).observations.panel_from_camera for each in (folded, stated)]
     np.testing.assert_array_equal(*slopes)
 
 

@@ -16,7 +16,7 @@ from wlr_render.captures.session import (
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.noise import Noise, NoiseFloor
-from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, observe
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.settings import Settings
@@ -102,7 +102,8 @@ def explanation(**values):
 def measured(bench, plan, sigma_px=0.0, seed=0, **causes):
     """Observations of a session read by a bench with causes at work (name=values), with noise of camera pixels."""
     read = simulate(explanation(**causes).bench(bench), plan)
-    return with_noise(observe(bench, Session("small", plan, read)), sigma_px, np.random.default_rng(seed))
+    observations = Predictor.of_session(bench, Session("small", plan, read)).observations
+    return with_noise(observations, sigma_px, np.random.default_rng(seed))
 
 
 def with_noise(observations, sigma_px, rng):

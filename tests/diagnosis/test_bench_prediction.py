@@ -10,7 +10,7 @@ from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.bench_prediction import effect_errors, predict_session
-from wlr_render.diagnosis.observations import DISPLAY, observe
+from wlr_render.diagnosis.observations import DISPLAY
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
 
@@ -61,7 +61,7 @@ def root():
 
 def test_errors_of_effects_have_the_covariance_of_their_coefficients(bench, plan, root):
     uncertain = replace(bench, effects=(warped(root @ root.T),))
-    predictor = Predictor(observe(uncertain, Session("s", plan, simulate(uncertain, plan))))
+    predictor = Predictor.of_session(uncertain, Session("s", plan, simulate(uncertain, plan)))
     errors, rng = effect_errors(predictor), np.random.default_rng(2)
     drawn = [
         replace(bench, effects=(warped(None, (root @ each).reshape(6, 2)),)) for each in rng.normal(size=(100, 12))
@@ -71,12 +71,12 @@ def test_errors_of_effects_have_the_covariance_of_their_coefficients(bench, plan
     stated, seen = np.sum(errors[display] ** 2, axis=2), np.mean(np.square(changes), axis=0)[display]
     assert np.all(errors[~display] == 0.0)
     np.testing.assert_allclose(np.mean(stated, axis=0), np.mean(seen, axis=0), rtol=0.15)
-    assert effect_errors(Predictor(observe(bench, Session("s", plan, simulate(bench, plan))))).shape[2] == 0
+    assert effect_errors(Predictor.of_session(bench, Session("s", plan, simulate(bench, plan)))).shape[2] == 0
 
 
 def test_a_bench_whose_effects_are_uncertain_predicts_within_their_errors(bench, plan, root):
     true = replace(bench, effects=(warped(None, (root @ np.random.default_rng(3).normal(size=12)).reshape(6, 2)),))
-    observations = observe(bench, Session("s", plan, simulate(true, plan)))
+    observations = Predictor.of_session(bench, Session("s", plan, simulate(true, plan))).observations
     session = with_noise(observations, SIGMA_PX, np.random.default_rng(4)).session
     by_covariance = {}
     for covariance in (root @ root.T, None):

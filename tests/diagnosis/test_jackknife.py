@@ -9,7 +9,7 @@ from small_session import SIGMA_PX, explanation, fitted_at_rest, measured, with_
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.held_out import jackknife, left_out_changes
-from wlr_render.diagnosis.observations import observe
+from wlr_render.diagnosis.prediction import Predictor
 
 REPEATABILITY_M = 30e-6
 DRAWS = 12
@@ -23,9 +23,9 @@ def test_changes_are_those_of_fits_without_the_capture(bench, plan):
     clean = measured(bench, plan, target_scale=[0.3, 0.2], panel_shift=[0.1, -0.1])
     observations = with_noise(clean, SIGMA_PX, np.random.default_rng(1))
     start = {"target_scale": [0.3, 0.2], "panel_shift": [0.1, -0.1]}
-    group, count = observations.group, len(observations.captures)
+    group = observations.group
     found = at_rest(observations, group >= 0, start)
-    changes = left_out_changes(found, group, count)
+    changes = left_out_changes(found, observations)
     assert changes.shape == (36, 4)
     for number in (2, 20):
         without = at_rest(observations, group != number, start)
@@ -33,8 +33,9 @@ def test_changes_are_those_of_fits_without_the_capture(bench, plan):
         prior_sigma = [parameter.prior_sigma for parameter in found.explanation.parameters()]
         np.testing.assert_allclose(changes[number] * prior_sigma, change, atol=0.02 * found.sigmas().max())
     kept = at_rest(observations, group != 0, start)
-    assert np.isnan(left_out_changes(kept, group[group != 0], count)[0]).all()
-    assert np.isfinite(jackknife(kept, group[group != 0], count)).all()
+    others = observations.of_rows(group != 0)
+    assert np.isnan(left_out_changes(kept, others)[0]).all()
+    assert np.isfinite(jackknife(kept, others)).all()
 
 
 @pytest.mark.slow
@@ -52,14 +53,14 @@ def _with_a_bad_stage(bench, plan, rng):
     there = replace(plan.display, stage=plan.display.stage + shifts[plan.display.capture])
     read = measured(bench, SessionPlan(there), SIGMA_PX, seed=int(rng.integers(1 << 30))).session
     nominal = replace(read, plan=SessionPlan(plan.display))
-    observations = observe(bench, nominal)
+    observations = Predictor.of_session(bench, nominal).observations
     assert np.isfinite(simulate(bench, nominal.plan).panel_pixel).all()
     found = fitted_at_rest(observations, explanation(stage_scale=[0.0, 0.0, 0.0]))
-    return found.explanation.vector(), found.sigmas(), jackknife(found, observations.group, len(observations.captures))
+    return found.explanation.vector(), found.sigmas(), jackknife(found, observations)
 
 
 def test_one_capture_gives_no_error(bench, plan):
     observations = measured(bench, plan, SIGMA_PX, target_scale=[0.3, 0.2])
     one = observations.group == 20
     found = at_rest(observations, one, {"target_scale": [0.3, 0.2]})
-    assert np.isnan(jackknife(found, observations.group[one], len(observations.captures))).all()
+    assert np.isnan(jackknife(found, observations.of_rows(one))).all()

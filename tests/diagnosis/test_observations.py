@@ -8,7 +8,8 @@ from small_session import SIGMA_PX, explanation, with_readings
 
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
-from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, CaptureName, observe
+from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, CaptureName
+from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.errors import BadInputError
 
 
@@ -17,7 +18,7 @@ def every_part(bench, plan, run_time):
     """A session of all three parts without noise, and what was read."""
     whole = SessionPlan(plan.display, plan.see_through, run_time.run_time)
     session = Session("whole", whole, simulate(bench, whole))
-    return observe(bench, session)
+    return Predictor.of_session(bench, session).observations
 
 
 def test_what_a_bench_reads_has_no_residual_against_it(bench, every_part):
@@ -101,7 +102,9 @@ def test_readings_that_the_bench_cannot_predict_are_left_out(bench, plan):
     place = few.stage.copy()
     place[::4, 2] -= 2.0  # beyond the target
     read = Readings(dot_pixel=np.zeros((40, 2)))
-    observed = observe(bench, Session("few", SessionPlan(see_through=replace(few, stage=place)), read))
+    observed = Predictor.of_session(
+        bench, Session("few", SessionPlan(see_through=replace(few, stage=place)), read)
+    ).observations
     assert len(observed) == len(observed.group) == len(observed.part) == 30
     np.testing.assert_array_equal(observed.session.plan.see_through.stage, np.delete(place, np.s_[::4], axis=0))
 
@@ -113,4 +116,4 @@ def test_a_bench_that_sees_nothing_is_an_error(bench, plan, part):
     session = Session("dark", alone, simulate(bench, alone))
     away = explanation(camera_pupil_offset=[-2000.0, 0.0, -2000.0]).bench(bench)
     with pytest.raises(BadInputError, match=r"dark: the bench as described sees none of its \d+ readings"):
-        observe(away, session)
+        Predictor.of_session(away, session)

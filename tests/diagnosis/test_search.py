@@ -12,8 +12,7 @@ from wlr_render.captures.session import Session, SessionPlan
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import fit, reduced_chi_squared, times_between_captures
-from wlr_render.diagnosis.observations import observe
-from wlr_render.diagnosis.prediction import Explanation
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.screening import Signatures, best_fit, hypotheses, screen
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.numerics.scatter import Scatter
@@ -208,7 +207,7 @@ def test_without_a_moment_between_captures_nothing_can_have_slipped(bench, plan,
 
     timeless = replace(plan, display=at_few_times(plan.display), see_through=at_few_times(plan.see_through))
     assert len(times_between_captures(timeless)) == 0
-    observations = observe(bench, Session("timeless", timeless, simulate(bench, timeless)))
+    observations = Predictor.of_session(bench, Session("timeless", timeless, simulate(bench, timeless))).observations
     readings, current = weighed(observations), fitted(observations, Explanation())
     candidates = hypotheses({name: CAUSES[name] for name in ("headset_slip", "panel_shift")})
     screened = screen(Signatures.of(readings, candidates), current, candidates)

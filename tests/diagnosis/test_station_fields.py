@@ -15,9 +15,8 @@ from wlr_render.captures.session import Session, SessionPlan
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.effect_findings import station_effects
-from wlr_render.diagnosis.located_effects import LocatedEffect
-from wlr_render.diagnosis.observations import observe
-from wlr_render.diagnosis.prediction import Explanation
+from wlr_render.diagnosis.field_terms import LocatedEffect
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.station_fields import station_fields
 from wlr_render.numerics.polynomial import Box
 
@@ -134,7 +133,8 @@ def of_fields(readings, found):
 
 
 def noisy(bench, plan, read):
-    return with_noise(observe(bench, Session("small", plan, read)), SIGMA_PX, np.random.default_rng(3))
+    observations = Predictor.of_session(bench, Session("small", plan, read)).observations
+    return with_noise(observations, SIGMA_PX, np.random.default_rng(3))
 
 
 def contest(bench, plan, read, causes=None):
@@ -153,9 +153,7 @@ def test_an_effect_is_located_at_its_station(bench, plan, effect, station, coord
 
 @pytest.mark.slow
 def test_other_readings_get_the_periods_that_were_found(bench, plan):
-    readings = weighed(
-        with_noise(observe(bench, Session("small", plan, screw(bench, plan))), SIGMA_PX, np.random.default_rng(3))
-    )
+    readings = weighed(noisy(bench, plan, screw(bench, plan)))
     some = readings.of_rows(np.arange(len(readings.observations)) % 7 == 0)
     periods = [
         [field.period for field in fields if field.period > 0.0]
@@ -199,9 +197,7 @@ def test_the_period_of_fringes_is_found_and_a_bench_has_their_wave(bench, plan):
 
 @pytest.mark.slow
 def test_a_bump_of_any_degree_has_an_error(bench, plan):
-    observations = with_noise(
-        observe(bench, Session("small", plan, dent(bench, plan))), SIGMA_PX, np.random.default_rng(3)
-    )
+    observations = noisy(bench, plan, dent(bench, plan))
     readings = weighed(observations)
     fields = station_fields(readings, spot=Box(np.array([-3.0, -8.0]), np.array([9.0, 4.0])))
     contest = Search(readings, readings, (), fields=fields).contest(fitted(observations, Explanation()))
@@ -247,7 +243,7 @@ def test_two_causes_that_one_field_does_as_well_have_no_name(bench, run_time):
     rolled = BenchEffect.of_function("camera", "delay", lambda pixel: 6e-3 * pixel[:, 1:], (0.0, 0.0), (1280.0, 1024.0))
     alike, both = explanation(rolling_scanout=[5.0], latency=[1.0]), []
     for true in (alike.bench(bench), replace(bench, effects=(rolled,))):
-        observations = observe(bench, Session("small", run_time, simulate(true, run_time)))
+        observations = Predictor.of_session(bench, Session("small", run_time, simulate(true, run_time))).observations
         readings = weighed(with_noise(observations, SIGMA_PX, np.random.default_rng(3)))
         both.append(of_fields(readings, fitted(readings.observations, alike)).odds_of_all_causes([])[0])
     assert both[0] > both[1]
@@ -380,7 +376,7 @@ def test_effects_are_fitted_as_the_bench_does_them_where_it_is_not_linear(bench,
 
     true = BenchEffect.of_function("eye tracking", "pupil by gaze", off, (-1.0, -1.0), (1.0, 1.0))
     read = simulate(replace(bench, effects=(true,)), run_time)
-    observations = observe(bench, Session("small", run_time, read))
+    observations = Predictor.of_session(bench, Session("small", run_time, read)).observations
     readings = weighed(with_noise(observations, SIGMA_PX, np.random.default_rng(3)))
     linear = of_fields(readings, fitted(readings.observations, Explanation()))
     effects, exact = linear.located(2.0, 1), []

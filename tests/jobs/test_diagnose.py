@@ -24,7 +24,8 @@ from wlr_render.captures.session import select_rows
 from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.observations import observe, readings_of_rows
+from wlr_render.diagnosis.observations import readings_of_rows
+from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.jobs import diagnose
 
@@ -193,7 +194,7 @@ def test_a_cause_of_your_own_at_a_station_is_named_and_written(screwed, few_caus
     corrected, measured = load_session(tmp_path / "corrected")
     (effect,) = corrected.effects
     assert (effect.station, effect.displaces) == ("stage", "pose")
-    residual = observe(corrected, measured).residual(simulate(corrected, measured.plan))
+    residual = Predictor.of_session(corrected, measured).observations.residual(simulate(corrected, measured.plan))
     assert np.sqrt(np.nanmean(residual**2)) == pytest.approx(1.0, abs=0.05)
 
 

@@ -12,7 +12,7 @@ from oracle.run_time import RunTimePlan, observe_run_time
 from oracle.session_writer import write_run_time_session
 from wlr_render.bench.session_folder import load_session
 from wlr_render.bench.simulate_session import simulate
-from wlr_render.diagnosis.observations import observe
+from wlr_render.diagnosis.prediction import Predictor
 
 QUIET = RunTimePlan(recordings=6, moments=20, sigma_px=0.0)
 
@@ -118,7 +118,7 @@ def test_the_package_reads_what_is_written_and_sees_the_effect(tmp_path, device,
     plan = RunTimePlan(device, recordings=6, moments=40, sigma_px=0.1)
     write_run_time_session(tmp_path, plan, effects, np.random.default_rng(1))
     nominal, session = load_session(tmp_path)
-    observations = observe(nominal, session)
+    observations = Predictor.of_session(nominal, session).observations
     residual = observations.residual(simulate(nominal, observations.session.plan))
     rms = np.sqrt(np.mean(residual**2))
     assert len(residual) > 100

@@ -13,14 +13,13 @@ from functools import cached_property
 import numpy as np
 
 from wlr_render.diagnosis.field_contest import FieldContest
-from wlr_render.diagnosis.field_terms import ELSEWHERE, StationField
+from wlr_render.diagnosis.field_terms import ELSEWHERE, LocatedEffect, StationField
 from wlr_render.diagnosis.fit import (
     Fit,
     fit,
     is_physical,
 )
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, held_out_residual
-from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation
 from wlr_render.diagnosis.screening import HOPELESS, ScreenedHypothesis, Signatures, best_fit, screen
 from wlr_render.diagnosis.settings import DEFAULT, Settings

@@ -120,6 +120,8 @@ class _Cells:
         left: (m, 2) what surfaces leave of their residuals.
         capture: (m,) of each.
         rows: (m,) of them among all readings.
+        middles: (c, 2) of the cells that have readings.
+        cell: (m,) of each reading.
     """
 
     station: str
@@ -130,20 +132,8 @@ class _Cells:
     left: FloatArray
     capture: IntArray
     rows: IntArray
-
-    @cached_property
-    def _cells(self) -> tuple[FloatArray, IntArray]:
-        return cells_of(self.place, self.width)
-
-    @property
-    def middles(self) -> FloatArray:
-        """Middles of the cells that have readings, (c, 2)."""
-        return self._cells[0]
-
-    @property
-    def cell(self) -> IntArray:
-        """Cell of each reading (m,)."""
-        return self._cells[1]
+    middles: FloatArray
+    cell: IntArray
 
     @cached_property
     def noise(self) -> float:
@@ -347,7 +337,8 @@ def _all_cells(predictor: Predictor, residual: FloatArray) -> Iterator[_Cells]:
         for station, place, widths, meeting in _places(predictor, part):
             rows = np.flatnonzero(judged & np.isfinite(place).all(axis=1))
             for width in widths if rows.size else ():
-                yield _Cells(station, part, meeting, width, place[rows], left[rows], group[rows], rows)
+                cells = cells_of(place[rows], width)
+                yield _Cells(station, part, meeting, width, place[rows], left[rows], group[rows], rows, *cells)
 
 
 def _places(predictor: Predictor, part: int) -> Iterator[tuple[str, FloatArray, Sequence[float], int]]:

@@ -10,8 +10,8 @@ from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.diagnosis.coherence import FineEffect
 from wlr_render.diagnosis.diagnosis import StationEffect
 from wlr_render.diagnosis.field_contest import FieldContest
+from wlr_render.diagnosis.field_terms import LocatedEffect
 from wlr_render.diagnosis.fine_in_bench import UNITS, size_of
-from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.observations import PART_NAMES
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.numerics.arrays import FloatArray

@@ -16,10 +16,9 @@ from itertools import pairwise, product
 import numpy as np
 
 from wlr_render.bench.bench_effects import BenchEffect
-from wlr_render.diagnosis.field_terms import ELSEWHERE, StationField
+from wlr_render.diagnosis.field_terms import ELSEWHERE, LocatedEffect, StationField
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, left_out_residual
-from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.settings import BEYOND_DOUBT
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray

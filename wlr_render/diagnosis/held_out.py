@@ -30,19 +30,18 @@ class HeldOutImprovement:
     significance: float
 
 
-def left_out_changes(found: Fit, group: IntArray, groups: int) -> FloatArray:
-    """Return the changes (groups, p) of the free parameters, in prior sigmas, when a capture is left out.
+def left_out_changes(found: Fit, observations: Observations) -> FloatArray:
+    """Return the changes (captures, p) of the free parameters, in prior sigmas, when a capture is left out.
 
     They are NaN for captures without readings.
 
     Args:
         found: the fit.
-        group: (n,) capture of each reading.
-        groups: number of captures.
+        observations: to which it was fitted.
     """
-    changes = np.full((groups, found.at.free.size), np.nan)
-    for number in np.unique(group):
-        mine = group == number
+    changes = np.full((len(observations.captures), found.at.free.size), np.nan)
+    for number in np.unique(observations.group):
+        mine = observations.group == number
         flat = found.jacobian[mine].reshape(-1, found.at.free.size)
         gradient = flat.T @ found.residual[mine].ravel()
         changes[number] = -np.linalg.lstsq(found.information - flat.T @ flat, gradient, rcond=None)[0]
@@ -50,15 +49,10 @@ def left_out_changes(found: Fit, group: IntArray, groups: int) -> FloatArray:
 
 
 def held_out_residual(found: Fit, observations: Observations) -> FloatArray:
-    """Residual (n, 2) in units of sigma of each capture when it is left out of the fit.
-
-    Args:
-        found: the fit.
-        observations: to which it was fitted.
-    """
+    """Residual (n, 2) in units of sigma of each capture when it is left out of the fit to these observations."""
     if found.at.free.size == 0:
         return found.at.residual
-    changes = left_out_changes(found, observations.group, len(observations.captures))
+    changes = left_out_changes(found, observations)
     return np.asarray(found.at.residual - np.einsum("nkp,np->nk", found.at.jacobian, changes[observations.group]))
 
 
@@ -75,7 +69,7 @@ def held_out_improvement(before: FloatArray, after: FloatArray, group: IntArray)
     return HeldOutImprovement(100 * (1 - ratio), 100 * spread, float(difference.sum()) / error if error > 0 else 0.0)
 
 
-def jackknife(found: Fit, group: IntArray, groups: int) -> FloatArray:
+def jackknife(found: Fit, observations: Observations) -> FloatArray:
     """Jackknife standard errors (p,) of the free parameters over captures, in the parameters' units.
 
     They contain whatever differs from capture to capture, e.g. the stage's repeatability or an effect that the model
@@ -84,10 +78,9 @@ def jackknife(found: Fit, group: IntArray, groups: int) -> FloatArray:
 
     Args:
         found: the fit.
-        group: (n,) capture of each reading.
-        groups: number of captures.
+        observations: to which it was fitted.
     """
-    changes = left_out_changes(found, group, groups) * found.explanation.prior_sigma[found.at.free]
+    changes = left_out_changes(found, observations) * found.explanation.prior_sigma[found.at.free]
     changes = changes[np.isfinite(changes).all(axis=1)]
     count = len(changes)
     if count < 2:

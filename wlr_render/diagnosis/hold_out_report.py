@@ -111,10 +111,10 @@ def hold_out_table(diagnosis: Diagnosis, residuals: Sequence[HeldOutResidual]) -
 
 def hold_out_values(diagnosis: Diagnosis) -> ReportTable:
     """Return the values found, with the standard errors of the fit and of leaving out each capture in turn."""
-    observations, fitted = diagnosis.readings.observations, diagnosis.fit
+    fitted = diagnosis.fit
     causes = [hypothesis.cause for hypothesis in fitted.explanation.hypotheses]
     names = [(cause.name, parameter.name) for cause in causes for parameter in cause.parameters]
-    errors = jackknife(fitted, observations.group, len(observations.captures))
+    errors = jackknife(fitted, diagnosis.readings.observations)
     by_name = {names[free]: float(error) for free, error in zip(fitted.at.free, errors, strict=True)}
     note = (
         "By the captures: jackknife, from the change of each value when one capture is left out. A larger figure than "

@@ -9,8 +9,8 @@ from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.coherence import FineEffect
 from wlr_render.diagnosis.diagnosis import StationEffect, TriedField
 from wlr_render.diagnosis.field_contest import MOST_EFFECTS, FieldContest
+from wlr_render.diagnosis.field_terms import LocatedEffect
 from wlr_render.diagnosis.fit import Fit
-from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.settings import BEYOND_DOUBT
 from wlr_render.numerics.scatter import Scatter
 

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from wlr_render.bench.bench import Bench
-from wlr_render.bench.simulate_session import dot_geometry, panel_pixels, simulate
+from wlr_render.bench.simulate_session import dot_geometry, panel_pixels
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
@@ -202,17 +202,8 @@ def readings_of_rows(readings: Readings, masks: Sequence[BoolArray]) -> Readings
     return Readings(*(None if part is None else part[mask] for part, mask in zip(readings.parts, masks, strict=True)))
 
 
-def observe(nominal: Bench, session: Session) -> Observations:
-    """Prepare a session; readings that the nominal bench cannot predict at all are left out.
-
-    Raises:
-        BadInputError: it can predict none.
-    """
-    return observe_predicted(nominal, session, simulate(nominal, session.plan))[0]
-
-
-def observe_predicted(nominal: Bench, session: Session, predicted: Readings) -> tuple[Observations, BoolArray]:
-    """Prepare a session like `observe`, from known predictions; also return which of all rows (n,) were kept.
+def observe(nominal: Bench, session: Session, predicted: Readings) -> tuple[Observations, BoolArray]:
+    """Return the readings that the nominal bench predicts, and which of all rows (n,) these are.
 
     Raises:
         BadInputError: it can predict none.

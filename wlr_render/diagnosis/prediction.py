@@ -16,7 +16,7 @@ from wlr_render.diagnosis.observations import (
     SEE_THROUGH,
     Observations,
     all_parts,
-    observe_predicted,
+    observe,
     readings_of_rows,
 )
 from wlr_render.errors import BadInputError
@@ -44,9 +44,6 @@ class Hypothesis:
 
     cause: Cause
     variant: str
-
-    def __str__(self) -> str:
-        return f"{self.cause.name} ({self.variant})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +166,7 @@ class Predictor:
             BadInputError: the bench predicts no reading.
         """
         state = _nominal_state(nominal, session.plan)
-        observations, predictable = observe_predicted(nominal, session, state.readings)
+        observations, predictable = observe(nominal, session, state.readings)
         return cls(observations, _state_of_rows(state, observations, predictable, all_parts(session.plan)))
 
     def with_sigma(self, sigma_px: FloatArray) -> "Predictor":

@@ -219,41 +219,34 @@ def _prepared(
     Returns:
         The search, the selection, and the effect that different captures have in common, if there is one.
     """
-    start = Explanation()
-    search, selection, fine = _selected(
-        start, _noise_left_by(start, as_stated, settings, None), as_stated, causes, settings, progress
-    )
-    progress("measuring the noise again")
-    start = selection.fit.explanation
-    if not start.hypotheses:
-        return search, selection, fine
-    # A spot that was there without the explanation: a cause that explains it has its fields as rivals.
-    first, left = search.full.noise, _noise_left_by(start, as_stated, settings, search.spot)
-    now, before = ([floor.shared for floor in each.floors] for each in (left[0], first))
-    same = np.allclose(left[0].sigma_px, first.sigma_px, rtol=_SAME_NOISE)
-    same = same and np.allclose(now, before, atol=_SAME_NOISE)
-    if same and np.array_equal(left[0].outlier, first.outlier):
-        return search, selection, fine
-    progress("the noise differs from the first estimate: again")
-    return _selected(start, left, as_stated, causes, settings, progress)
+    start, spot = Explanation(), None
+    done: tuple[Search, Selection, FineEffect | None] | None = None
+    while True:
+        # A spot that was there without the explanation: a cause that explains it has its fields as rivals.
+        noise, fine, spot = _noise_left_by(start, as_stated, settings, spot)
+        if done is not None:
+            if _are_alike(noise, done[0].full.noise):
+                return done
+            progress("the noise differs from the first estimate: again")
+        full = WeighedReadings.of(as_stated.with_sigma(noise.sigma_px).of_rows(~noise.outlier), noise)
+        subsample = full.of_rows(full.observations.spread(settings.subsample))
+        progress("what each cause and each field would do")
+        fields = station_fields(subsample, spot=spot)
+        search = Search(full, subsample, hypotheses(causes), progress, settings, fields, spot)
+        selection = search.select(start)
+        if done is not None:
+            return search, selection, fine
+        progress("measuring the noise again")
+        done, start = (search, selection, fine), selection.fit.explanation
+        if not start.hypotheses:
+            return done
 
 
-def _selected(
-    start: Explanation,
-    left: tuple[Noise, FineEffect | None, Box | None],
-    as_stated: Predictor,
-    causes: Mapping[str, Cause],
-    settings: Settings,
-    progress: Progress,
-) -> tuple[Search, Selection, FineEffect | None]:
-    """Select causes from an explanation on, with the noise and effects that `_noise_left_by` finds with it."""
-    noise, fine, spot = left
-    full = WeighedReadings.of(as_stated.with_sigma(noise.sigma_px).of_rows(~noise.outlier), noise)
-    subsample = full.of_rows(full.observations.spread(settings.subsample))
-    progress("what each cause and each field would do")
-    fields = station_fields(subsample, spot=spot)
-    search = Search(full, subsample, hypotheses(causes), progress, settings, fields, spot)
-    return search, search.select(start), fine
+def _are_alike(noise: Noise, before: Noise) -> bool:
+    """Return whether causes that were selected with one noise need no new selection with another."""
+    now, old = ([floor.shared for floor in each.floors] for each in (noise, before))
+    alike = np.allclose(noise.sigma_px, before.sigma_px, rtol=_SAME_NOISE) and np.allclose(now, old, atol=_SAME_NOISE)
+    return alike and np.array_equal(noise.outlier, before.outlier)
 
 
 def _noise_left_by(

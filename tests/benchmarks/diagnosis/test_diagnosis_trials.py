@@ -18,7 +18,7 @@ from benchmarks.diagnosis.truths import truth_of
 from benchmarks.kept_trials import kept_outcome
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.observations import observe
+from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.errors import BadInputError
 
 SIGMA_PX = 1e-3
@@ -41,7 +41,7 @@ def test_a_bench_with_the_true_values_predicts_the_session(name):
     tolerance = 0.05 / SIGMA_PX if name == "see_through_plate" else 1.15
     for variant in cause.variants:
         bench = cause.perturb(nominal, values, variant)
-        observations = observe(bench, session)
+        observations = Predictor.of_session(bench, session).observations
         residual = observations.residual(simulate(bench, observations.session.plan))
         if np.sqrt(np.mean(residual**2)) < tolerance:
             return
