@@ -79,7 +79,7 @@ class RunTimeViews:
         wanted = _dot_in_device(plan, np.zeros(len(plan)))
         drawn = see_through.view_dir_of_real_point(wanted, plan.viewpoint, starts[0])
         drawn_at = display.pixel_of_view_dir(drawn.value, plan.viewpoint).value
-        places = _by_plan(plan, drawn_at)
+        places = places_by_plan(plan, drawn_at)
         tracking = bench.eye_tracking
         pupil = plan.viewpoint + tracking.bias + tracking.gaze_radius * (plan.gaze - _STRAIGHT_AHEAD)
         pupil = pupil + _displaced(bench, places, _PUPILS)
@@ -106,9 +106,14 @@ _DELAYS, _SHIFTS, _TURNS, _PUPILS = (
 )
 
 
-def _by_plan(plan: RunTimePlan, pixel: FloatArray) -> dict[tuple[str, str], FloatArray]:
-    """Return the coordinates of each kind of effect except the camera's, (n, v), for dots drawn at pixels (n, 2)."""
-    gravity, rate = gravity_and_rate(plan)
+def places_by_plan(plan: RunTimePlan, pixel: FloatArray) -> dict[tuple[str, str], FloatArray]:
+    """Return the coordinates of each kind of effect except the camera's, (n, v), for dots drawn at pixels (n, 2).
+
+    Gravity and the rate of the head are in device axes.
+    """
+    device_from_world = inverse(plan.world_from_device)[:, :3, :3]
+    gravity = -device_from_world[:, :, 1]
+    rate = np.asarray(np.einsum("nij,nj->ni", device_from_world, plan.head_rate))
     return {
         ("panel", "picture"): pixel,
         ("panel", "delay"): pixel,
@@ -120,12 +125,6 @@ def _by_plan(plan: RunTimePlan, pixel: FloatArray) -> dict[tuple[str, str], Floa
         ("eye tracking", "pupil by gaze"): tangents_of_dir(plan.gaze),
         ("time", "picture"): plan.time_s[:, None],
     }
-
-
-def gravity_and_rate(plan: RunTimePlan) -> tuple[FloatArray, FloatArray]:
-    """Return the direction of gravity and the rate of the head in each row, (n, 3), device axes."""
-    device_from_world = inverse(plan.world_from_device)[:, :3, :3]
-    return -device_from_world[:, :, 1], np.asarray(np.einsum("nij,nj->ni", device_from_world, plan.head_rate))
 
 
 def _displaced(

@@ -26,14 +26,13 @@ from wlr_render.diagnosis.field_terms import (
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
 from wlr_render.numerics.waves import LocalWaves, local_orders
-from wlr_render.optics.assembly import combiner_middle
-from wlr_render.optics.combiner_form import SURFACES, surfaces_raised
+from wlr_render.optics.combiner_form import SURFACES, places_on_combiner, surfaces_raised
 from wlr_render.optics.device import EyeOptics, Path
 from wlr_render.optics.sag_surfaces import XYPolynomial
-from wlr_render.optics.tracer import trace
 
 _OF_CAUSES = ("all surfaces", "reflecting surfaces")  # groups of surfaces with causes for tilt and form
 _DEGREES = (4, 6, 8, 10, 12)  # degrees of heights over the whole combiner
@@ -197,22 +196,14 @@ def footprints(predictor: Predictor, path: str = "", step: int = 0) -> FloatArra
     """
     observations, state = predictor.observations, predictor.state(Explanation())
     bench, plan, place = state.bench, observations.session.plan, np.full((len(observations), 2), np.nan)
-    optics, middle = bench.optics, combiner_middle(bench.optics)
-    if not optics.display.steps:
-        return place
+    optics, dots = bench.optics, state.views.dots
     if plan.display is not None and path != "see_through":
-        met = trace(
-            Path(optics.display.steps[: step + 1]),
-            camera_positions(bench, plan.display),
-            display_dirs(bench, plan.display),
-            bench.wavelengths_um[1],
-        )
-        place[observations.part == DISPLAY] = 1e3 * (met.origin - middle)[:, :2]
-    if plan.see_through is not None and state.views.dots is not None and path != "display":
-        tangents = state.views.dots.tangents
-        directions = np.concatenate([tangents, -np.ones((len(tangents), 1))], axis=1)
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        steps = (optics.see_through if path else optics.display).steps[: step + 1]
-        met = trace(Path(steps), camera_positions(bench, plan.see_through), directions, bench.target_wavelength_um)
-        place[observations.part == SEE_THROUGH] = 1e3 * (met.origin - middle)[:, :2]
+        lines = camera_positions(bench, plan.display), display_dirs(bench, plan.display)
+        met = places_on_combiner(optics, *lines, step, optics.display, bench.wavelengths_um[1])
+        place[observations.part == DISPLAY] = 1e3 * met
+    if plan.see_through is not None and dots is not None and path != "display":
+        lines = camera_positions(bench, plan.see_through), dir_of_tangents(dots.tangents)
+        along = optics.see_through if path else optics.display
+        met = places_on_combiner(optics, *lines, step, along, bench.target_wavelength_um)
+        place[observations.part == SEE_THROUGH] = 1e3 * met
     return place

@@ -4,9 +4,10 @@ A display reading is a panel position, but its noise arises in camera pixels; it
 Jacobian of panel position by camera pixel, so that all residuals below are camera pixels over sigma.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -181,11 +182,10 @@ class Observations:
 
     def of_rows(self, keep: BoolArray) -> "Observations":
         """Return the readings that a mask (n,) selects."""
-        plan, masks = self.session.plan, [keep[self.part == p] for p in range(len(PART_NAMES))]
+        masks = [keep[self.part == part] for part in range(len(PART_NAMES))]
+        plans: Iterable[Any] = self.session.plan.parts
         kept_plan = SessionPlan(
-            None if plan.display is None else select_rows(plan.display, masks[DISPLAY]),
-            None if plan.see_through is None else select_rows(plan.see_through, masks[SEE_THROUGH]),
-            None if plan.run_time is None else select_rows(plan.run_time, masks[RUN_TIME]),
+            *(None if plan is None else select_rows(plan, mask) for plan, mask in zip(plans, masks, strict=True))
         )
         return replace(
             self,
@@ -208,18 +208,20 @@ def observe(nominal: Bench, session: Session, predicted: Readings) -> tuple[Obse
     Raises:
         BadInputError: it can predict none.
     """
-    names = _names(session.plan)
-    captures = tuple(sorted(set(names)))
-    index = {name: number for number, name in enumerate(captures)}
-    part = all_parts(session.plan)
-    group = np.array([index[name] for name in names])
-    jacobian = _panel_from_camera(nominal, session.plan)
-    sigma = _stated_sigma(nominal, session.plan, part)
-    observations = Observations(session, nominal, sigma, jacobian, captures, group, part)
+    plan, part = session.plan, all_parts(session.plan)
+    pose = np.full(len(part), -1)
+    if plan.see_through is not None:
+        pose[part == SEE_THROUGH] = plan.see_through.target_pose
+    numbers = np.stack([part, pose, np.concatenate([each.capture for each in plan.parts if each is not None])], axis=1)
+    names, group = np.unique(numbers, axis=0, return_inverse=True)
+    captures = tuple(CaptureName(*each) for each in names.tolist())
+    jacobian = _panel_from_camera(nominal, plan)
+    sigma = _stated_sigma(nominal, plan, part)
+    observations = Observations(session, nominal, sigma, jacobian, captures, group.reshape(-1), part)
     predictable = np.asarray(np.isfinite(observations.residual(predicted)).all(axis=1))
     if not predictable.any():
         raise BadInputError(
-            f"{session.name}: the bench as described sees none of its {len(names)} readings; check the device, the "
+            f"{session.name}: the bench as described sees none of its {len(part)} readings; check the device, the "
             "stage's origin and the target's poses."
         )
     return observations.of_rows(predictable), predictable
@@ -239,18 +241,6 @@ def all_parts(plan: SessionPlan) -> IntArray:
     """Return the index into `PART_NAMES` of each reading of a plan (n,)."""
     counts = [0 if part is None else len(part) for part in plan.parts]
     return np.repeat(np.arange(len(PART_NAMES)), counts)
-
-
-def _names(plan: SessionPlan) -> list[CaptureName]:
-    names = []
-    if plan.display is not None:
-        names += [CaptureName(DISPLAY, -1, int(capture)) for capture in plan.display.capture]
-    if plan.see_through is not None:
-        pairs = zip(plan.see_through.target_pose, plan.see_through.capture, strict=True)
-        names += [CaptureName(SEE_THROUGH, int(pose), int(capture)) for pose, capture in pairs]
-    if plan.run_time is not None:
-        names += [CaptureName(RUN_TIME, -1, int(capture)) for capture in plan.run_time.capture]
-    return names
 
 
 @np.errstate(invalid="ignore")

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from wlr_render.bench.simulate_run_time import gravity_and_rate
+from wlr_render.bench.simulate_run_time import places_by_plan
 from wlr_render.bench.simulate_session import camera_positions, dot_pixels, simulate_to_first_order
 from wlr_render.captures.session import Readings, SeeThroughPlan, SessionPlan
 from wlr_render.diagnosis.causes import CAUSES
@@ -23,7 +23,6 @@ from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, Ob
 from wlr_render.diagnosis.periodic_fields import screw_fields, stripe_fields
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, total_degree
@@ -208,29 +207,24 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     rows, sigma = observations.part == RUN_TIME, observations.sigma_of(RUN_TIME)[:, :, None]
     shift, turn = np.eye(2) / sigma, _picture_turned(observations, seen[:, :2]) / sigma
     delay, pupil = (lever_of(predictor, CAUSES[cause])[rows] for cause in ("latency", "eye_position_bias"))
-    gravity, rate = gravity_and_rate(plan)
-    panel = views.drawn_at
-    for station, form, pixel in (("camera", "shift of the image", seen[:, 2:]), ("panel", "shift", panel)):
+    places = places_by_plan(plan, views.drawn_at)
+    for station, form, pixel in (("camera", "shift of the image", seen[:, 2:]), ("panel", "shift", views.drawn_at)):
         terms = smooth_terms(f"{station} pixels", pixel, 1, 2, 4, 6)
         yield field_of(station, form, "px", terms, shift, rows, "picture")
         for axis, lines in enumerate(("columns", "rows")):
             orders = np.arange(_LINE_DEGREES[-1] + 1)[:, None] * np.eye(2, dtype=np.int64)[axis]
             terms = smooth_terms(f"{station} pixels", pixel, *_LINE_DEGREES, orders=orders)
             yield field_of(station, f"delay of its {lines}", "ms", terms, delay, rows, "delay")
-    by_gravity = smooth_terms("direction of gravity", gravity, 1, 2, 3)
-    by_rate = smooth_terms("rate of the head", rate, 1, 2)
-    by_pupil = smooth_terms("tracked pupil", plan.viewpoint, 1, 2, 3)
-    by_gaze = smooth_terms("direction of gaze", tangents_of_dir(plan.gaze), 1, 2, 3, 4, 6, 8)
-    in_time = smooth_terms("time", plan.time_s[:, None], 2, 5, 10, 16, 24)
-    for station, form, unit, terms, lever, displaces in (
-        ("head motion", "turn of the picture", "mrad", by_gravity, turn, "picture by gravity"),
-        ("head motion", "turn of the picture", "mrad", by_rate, turn, "picture by rate"),
-        ("head motion", "delay", "ms", by_rate, delay, "delay by rate"),
-        ("eye tracking", "shift of the picture", "px", by_pupil, shift, "picture by pupil"),
-        ("eye tracking", "place of the pupil", "mm", by_pupil, pupil, "pupil by pupil"),
-        ("eye tracking", "place of the pupil", "mm", by_gaze, pupil, "pupil by gaze"),
-        ("time", "turn of the picture", "mrad", in_time, turn, "picture"),
+    for station, displaces, coordinates, form, unit, lever, degrees in (
+        ("head motion", "picture by gravity", "direction of gravity", "turn of the picture", "mrad", turn, (1, 2, 3)),
+        ("head motion", "picture by rate", "rate of the head", "turn of the picture", "mrad", turn, (1, 2)),
+        ("head motion", "delay by rate", "rate of the head", "delay", "ms", delay, (1, 2)),
+        ("eye tracking", "picture by pupil", "tracked pupil", "shift of the picture", "px", shift, (1, 2, 3)),
+        ("eye tracking", "pupil by pupil", "tracked pupil", "place of the pupil", "mm", pupil, (1, 2, 3)),
+        ("eye tracking", "pupil by gaze", "direction of gaze", "place of the pupil", "mm", pupil, (1, 2, 3, 4, 6, 8)),
+        ("time", "picture", "time", "turn of the picture", "mrad", turn, (2, 5, 10, 16, 24)),
     ):
+        terms = smooth_terms(coordinates, places[station, displaces], *degrees)
         yield field_of(station, form, unit, terms, lever, rows, displaces)
 
 

@@ -65,7 +65,14 @@ class SmoothSag(SagSurface):
         return unit * height[:, 0], unit / _MM * slopes[:, 0, 0], unit / _MM * slopes[:, 0, 1]
 
 
-def places_on_combiner(optics: EyeOptics, viewpoint: FloatArray, direction: FloatArray, meeting: int = 0) -> FloatArray:
+def places_on_combiner(
+    optics: EyeOptics,
+    viewpoint: FloatArray,
+    direction: FloatArray,
+    meeting: int = 0,
+    path: Path | None = None,
+    wavelength_um: float = GREEN_UM,
+) -> FloatArray:
     """Return where lines of sight meet a surface, (n, 2) metres right and up of the combiner's middle.
 
     NaN where nothing is met, as without a combiner.
@@ -73,11 +80,14 @@ def places_on_combiner(optics: EyeOptics, viewpoint: FloatArray, direction: Floa
     Args:
         optics: the optics.
         viewpoint, direction: (n, 3) of each line, device frame.
-        meeting: number of the surface along the display's path.
+        meeting: number of the surface along the path.
+        path: that the lines of sight follow; the display's if not given.
+        wavelength_um: of the light.
     """
-    if meeting >= len(optics.display.steps):
+    steps = (path or optics.display).steps
+    if meeting >= len(steps):
         return np.full((len(direction), 2), np.nan)
-    met = trace(Path(optics.display.steps[: meeting + 1]), viewpoint, direction, GREEN_UM)
+    met = trace(Path(steps[: meeting + 1]), viewpoint, direction, wavelength_um)
     return np.asarray((met.origin - combiner_middle(optics))[:, :2])
 
 
