@@ -1,7 +1,7 @@
 """Findings of a fit: causes with their values, detection limits, residuals, and their expected size."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -174,25 +174,23 @@ def capture_residuals(
 
 
 def residual_summary(observations: Observations, residual: FloatArray, used: BoolArray) -> ResidualSummary:
-    """Return the root mean squares per axis of a residual (n, 2) in units of sigma, over the readings that count."""
-    used = used & np.isfinite(residual).all(axis=1)
+    """Return the root mean squares per axis of a residual in units of sigma, over the readings (n,) that count.
+
+    Args:
+        observations: the readings.
+        residual: (n, 2), or (n, 2, q) of q independent parts, whose squares add.
+        used: (n,) mask of the readings that count.
+    """
+    parts = residual.reshape(len(observations), 2, -1)
+    used = used & np.isfinite(parts).all(axis=(1, 2))
 
     def rms(part: int) -> float | None:
-        values = observations.in_unit_of(part, residual)[used[observations.part == part]]
-        return float(np.sqrt(np.mean(values**2))) if len(values) else None
+        rows = used[observations.part == part]
+        values = [observations.in_unit_of(part, each)[rows] for each in np.moveaxis(parts, 2, 0)]
+        return float(np.sqrt(np.mean(np.sum(np.square(values), axis=0)))) if rows.any() else None
 
-    return ResidualSummary(rms(DISPLAY), rms(SEE_THROUGH), rms(RUN_TIME), float(np.sqrt(np.mean(residual[used] ** 2))))
-
-
-def noise_summary(observations: Observations, used: BoolArray) -> ResidualSummary:
-    """Return the root mean squares per axis of noise alone, over the readings (n,) that count."""
-    summary = residual_summary(observations, np.ones((len(observations), 2)), used)
-    if summary.display_rms_px is None:
-        return summary
-    # The axes of panel and camera differ: both components of the noise contribute to each axis of the panel.
-    display = used[observations.part == DISPLAY]
-    panel_px = observations.panel_from_camera[display] * observations.sigma_of(DISPLAY)[display][:, :, None]
-    return replace(summary, display_rms_px=float(np.sqrt(np.mean(np.sum(panel_px**2, axis=(1, 2))) / 2)))
+    over_noise = float(np.sqrt(np.mean(np.sum(parts[used] ** 2, axis=2))))
+    return ResidualSummary(rms(DISPLAY), rms(SEE_THROUGH), rms(RUN_TIME), over_noise)
 
 
 def usual_motion(readings: Predictor, found: Fit) -> FloatArray:
@@ -200,17 +198,6 @@ def usual_motion(readings: Predictor, found: Fit) -> FloatArray:
     observations, scatter = readings.observations, found.scatter
     usual = replace(scatter.at_rest(), noise=np.ones_like(scatter.noise))
     return camera_motions(readings) * usual.sizes(observations.part_of_capture)[observations.group][:, None, :]
-
-
-def expected_summary(observations: Observations, motion: FloatArray, used: BoolArray) -> ResidualSummary:
-    """Return the expected rms per axis from noise plus the usual motions (n, 2, 6) of the captures."""
-    summaries = [noise_summary(observations, used)]
-    summaries += [residual_summary(observations, each, used) for each in np.moveaxis(motion, 2, 0)]
-    display, see_through, run_time, over_noise = (
-        None if values[0] is None else float(np.linalg.norm(values))
-        for values in zip(*map(astuple, summaries), strict=True)
-    )
-    return ResidualSummary(display, see_through, run_time, over_noise or 1.0)
 
 
 def motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...]:

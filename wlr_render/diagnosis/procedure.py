@@ -34,10 +34,8 @@ from wlr_render.diagnosis.findings import (
     capture_residuals,
     correlations,
     detection_limits,
-    expected_summary,
     found_cause,
     motion_sizes,
-    noise_summary,
     residual_summary,
     usual_motion,
 )
@@ -132,6 +130,7 @@ def _record(
     before, after = all_readings.residual(Explanation()), all_readings.residual_of_bench(corrected)
     used = ~noise.outlier & not_excluded(observations, excluded)
     motion, count = usual_motion(all_readings, found), int(np.sum(noise.outlier))
+    noise_alone = np.broadcast_to(np.eye(2), (len(observations), 2, 2))  # each axis is independent of the other
     outliers = [f"{count} single readings lie far from their neighbours and were excluded"] if count else []
     return Diagnosis(
         session=observations.session.name,
@@ -144,8 +143,8 @@ def _record(
         too_many_moved=too_many,
         noise_floors=noise.floors,
         motions=motion_sizes(readings, found),
-        noise=noise_summary(observations, used),
-        expected=expected_summary(observations, motion, used),
+        noise=residual_summary(observations, noise_alone, used),
+        expected=residual_summary(observations, np.concatenate([noise_alone, motion], axis=2), used),
         before=residual_summary(observations, before, used),
         after=residual_summary(observations, after, used),
         unexplained_parts=tuple(left),
