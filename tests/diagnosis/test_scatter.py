@@ -15,12 +15,10 @@ from wlr_render.numerics.scatter import (
     costs_of_sizes,
     marginal,
     surprise,
-    tridiagonal,
 )
 from wlr_render.numerics.scatter_search import (
     best_scatter,
     motions_of,
-    one_at_rest,
     scatter_errors,
     with_moved_captures,
 )
@@ -128,7 +126,7 @@ def test_usual_sizes_are_no_surprise_and_a_moved_capture_costs_its_odds(drawn):
     assert surprise(replace(usual, moved=np.arange(5) < 2), sums) == pytest.approx(4.0 * np.log(97.0 / 3.0))
     tenfold = replace(usual, shift_um=np.array([80.0, 8.0, 8.0]))
     assert surprise(tenfold, sums) == pytest.approx((np.log(10.0) / 1.2) ** 2)
-    assert not one_at_rest(scatter, 1).moved.any()
+    assert not scatter.with_other(1).moved.any()
 
 
 @pytest.fixture(scope="module")
@@ -219,6 +217,6 @@ def test_the_evidence_of_every_size_is_that_of_dense_algebra(count):
     normals = np.eye(count) / sizes[:, None, None] ** 2 + information
     gained = gradient @ np.linalg.solve(normals, np.tile(gradient[:, None], (3, 1, 1)))[..., 0].T
     expected = np.linalg.slogdet(normals)[1] + 2 * count * np.log(sizes) - gained
-    costs = costs_of_sizes([tridiagonal(information, gradient), tridiagonal(information, 2 * gradient)], sizes)
-    np.testing.assert_allclose(costs[0], expected, rtol=1e-7)
-    np.testing.assert_allclose(costs[0] - costs[1], 3 * gained, rtol=1e-6)
+    costs = costs_of_sizes(information, gradient, sizes)
+    np.testing.assert_allclose(costs, expected, rtol=1e-7)
+    np.testing.assert_allclose(costs - costs_of_sizes(information, 2 * gradient, sizes), 3 * gained, rtol=1e-6)

@@ -31,7 +31,6 @@ from wlr_render.numerics.scatter import (
     costs_of_sizes,
     marginal,
     surprise,
-    tridiagonal,
 )
 from wlr_render.numerics.scatter_search import best_scatter
 
@@ -215,14 +214,13 @@ class FieldContest:
         own = self.found.at.jacobian[:, :, added - len(self.fixed.mean)]
         constant = field.order[field.counting(*tried[1:])] == 0
         scale = np.r_[np.where(constant, mean, 1.0), 1.0 / np.sqrt(np.mean(own**2, axis=(0, 1)))]
-        bases, tridiagonals = [], []
+        bases, costs = [], []
         for sums, cost in self._scatters:
             alone = sums.folded(known, np.r_[columns, added])
             bases.append(alone.minus_two_log + cost)
-            tridiagonals.append(tridiagonal(scale[:, None] * alone.information * scale, scale * alone.gradient))
-        costs = costs_of_sizes(tridiagonals, _SIZES)
+            costs.append(costs_of_sizes(scale[:, None] * alone.information * scale, scale * alone.gradient, _SIZES))
         # All sizes are equally likely beforehand.
-        least = np.array(bases) - 2.0 * (np.logaddexp.reduce(-0.5 * costs, axis=1) - np.log(len(_SIZES)))
+        least = np.array(bases) - 2.0 * (np.logaddexp.reduce(-0.5 * np.array(costs), axis=1) - np.log(len(_SIZES)))
         best = int(np.argmin(least))
         charge = 2.0 * np.log(field.alternatives)
         return float(least[best] + charge), float(_SIZES[int(np.argmin(costs[best]))])

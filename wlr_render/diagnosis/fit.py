@@ -7,6 +7,7 @@ Least-Squares Estimation of Nonlinear Parameters", SIAM J. 11 (1963) 431) on rea
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from scipy.stats import t as student
@@ -19,7 +20,7 @@ from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.diagnosis.whitening import Whitening
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.scatter import Scatter, ScatterSums, cost, marginal
+from wlr_render.numerics.scatter import Known, Scatter, ScatterSums, cost, marginal
 from wlr_render.numerics.scatter_search import best_scatter
 
 _ITERATIONS = 12
@@ -29,6 +30,7 @@ _AS_PROMISED = 0.1  # relative difference from the predicted gain below which de
 _SAME_SCATTER = 0.1  # change of a logarithm below which the values are not fitted again
 _FEWEST = 2  # captures on either side of a moment: a single one is a capture that moved
 _MOST_STEPS = 4  # whole steps from the best multiple that are counted
+_ANY = 1e4  # prior sigmas of a value that may be any number
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,26 +220,19 @@ def whole_step_cost(sums: ScatterSums, scatter: Scatter, explanation: Explanatio
     The multiple k has the probability 2^-|k| / 3, and the evidence is the sum over the multiples.
     """
     steps, values = _whole_steps(explanation, free)
-    whole = np.isfinite(steps)
-    if not whole.any():
+    is_whole = np.isfinite(steps)
+    if not is_whole.any():
         return 0.0
-    found = marginal(sums, scatter)
-    normal, mean = found.precision, found.mean
-    normal[np.ix_(whole, whole)] -= np.eye(int(whole.sum()))
-    right = found.gradient + np.where(whole, 0.0, mean)
-    covariance = np.linalg.inv(normal + 1e-9 * np.diag(np.diag(normal)))
-    best = covariance @ right
-    others = ~whole
-    _, determinant = np.linalg.slogdet(normal[np.ix_(others, others)])
-    flat = found.minus_two_log + float(mean[others] @ mean[others]) - float(right @ best) + determinant
-    at = (values + best)[whole] / steps[whole]
-    nearest = np.round(at)
-    reach = np.arange(-_MOST_STEPS, _MOST_STEPS + 1)
-    k = nearest[:, None] + np.stack([each.ravel() for each in np.meshgrid(*[reach] * len(at), indexing="ij")])
-    off = (k - at[:, None]) * steps[whole][:, None]
-    precision = np.linalg.inv(covariance[np.ix_(whole, whole)])
-    logs = -0.5 * np.einsum("ik,ij,jk->k", off, precision, off) - np.sum(np.log(2.0) * np.abs(k) + np.log(3.0), axis=0)
-    return float(flat - 2.0 * np.logaddexp.reduce(logs) - found.minus_two_log_evidence)
+    found, whole, others = marginal(sums, scatter), np.flatnonzero(is_whole), np.flatnonzero(~is_whole)
+    at_any = replace(found, sigma=np.where(is_whole, _ANY, found.sigma)).values
+    nearest = np.round((values + at_any)[whole] / steps[whole])
+    logs = []
+    for off in product(range(-_MOST_STEPS, _MOST_STEPS + 1), repeat=whole.size):
+        multiple = nearest + off
+        known = Known(others, found.sigma[others], whole, multiple * steps[whole] - values[whole])
+        prior = float(np.sum(np.log(2.0) * np.abs(multiple) + np.log(3.0)))
+        logs.append(-0.5 * found.of_columns(known).minus_two_log_evidence - prior)
+    return float(-2.0 * np.logaddexp.reduce(logs) - found.minus_two_log_evidence)
 
 
 def _whole_steps(explanation: Explanation, free: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -100,11 +100,10 @@ def left_out_residual(columns: FloatArray, left: FloatArray, group: IntArray, si
     after, (_, captures) = left.copy(), rows_by_label(group)
     # Captures follow each other in space and time; taking turns spreads every fold over both.
     folds = [np.concatenate(captures[number::_FOLDS]) for number in range(min(_FOLDS, len(captures)))]
-    flat = [columns[rows].reshape(2 * len(rows), -1) for rows in folds]
-    grams = [each.T @ each for each in flat]
-    moments = [each.T @ left[rows].ravel() for each, rows in zip(flat, folds, strict=True)]
-    prior = np.eye(columns.shape[2]) / size**2
-    for number, rows in enumerate(folds):
-        gram, moment = sum(grams) - grams[number], sum(moments) - moments[number]
-        after[rows] -= columns[rows] @ np.linalg.solve(gram + prior, moment)
+    every = columns.reshape(2 * len(columns), -1)
+    normal, pull = every.T @ every + np.eye(columns.shape[2]) / size**2, every.T @ left.ravel()
+    for rows in folds:
+        mine = columns[rows].reshape(2 * len(rows), -1)
+        values = np.linalg.solve(normal - mine.T @ mine, pull - mine.T @ left[rows].ravel())
+        after[rows] -= columns[rows] @ values
     return after

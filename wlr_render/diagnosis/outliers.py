@@ -10,7 +10,7 @@ from wlr_render.diagnosis.observations import SEE_THROUGH, CaptureName, Observat
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray
 from wlr_render.numerics.scatter import LOG10_ODDS, cost
-from wlr_render.numerics.scatter_search import motions_of, one_at_rest
+from wlr_render.numerics.scatter_search import motions_of
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,7 @@ def moved_captures(readings: WeighedReadings, found: Fit) -> list[MovedCapture]:
         rows = observations.group == number
         before = readings.shared(found.at.residual)[rows]
         after = before - readings.motions[rows] @ motion[number]
-        rest = one_at_rest(found.scatter, int(number))
-        odds = LOG10_ODDS * (cost(sums, rest) - least)
+        odds = LOG10_ODDS * (cost(sums, found.scatter.with_other(int(number))) - least)
         shift, turn = (1e-3 * motion[number, :3]).tolist(), np.degrees(1e-6 * motion[number, 3:]).tolist()
         name, rms = observations.captures[number], [float(np.sqrt(np.mean(each**2))) for each in (before, after)]
         known = not _is_placed_by_bare(observations, name)

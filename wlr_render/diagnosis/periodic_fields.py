@@ -59,10 +59,8 @@ class _Axes:
         anywhere = np.full(variables, _ANYWHERE)
         constant = polynomials(np.zeros((1, variables), dtype=np.int64), Box(-anywhere, anywhere))
         for axis, name in enumerate(self.names):
-            form, tried = (
-                f"shift along {name} with a period of",
-                (*(each[:, axis] for each in self.tried[:3]), self.tried[3]),
-            )
+            form = f"shift along {name} with a period of"
+            tried = (*(each[:, axis] for each in self.tried[:3]), self.tried[3])
             periods = _periods(self.periods, float(np.ptp(tried[0])))
             if not periods.size:
                 continue

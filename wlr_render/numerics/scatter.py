@@ -10,13 +10,11 @@ Sources: MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415; Pin
 in S and S-PLUS" (2000), chapter 2.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
-from scipy.linalg import lapack
 
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 from wlr_render.usual import SESSION_REPEATABILITY_M, SESSION_TURN_RAD
@@ -67,6 +65,10 @@ class Scatter:
     def at_rest(self) -> "Scatter":
         """Return the scatter without captures that moved."""
         return replace(self, moved=np.zeros_like(self.moved))
+
+    def with_other(self, number: int) -> "Scatter":
+        """Return the scatter with one capture that moved if it did not, and the other way round."""
+        return replace(self, moved=self.moved ^ (np.arange(len(self.moved)) == number))
 
     def is_ordinary(self, part: int, material_excess: float) -> bool:
         """Return whether a part shows no more than noise and the usual repeatability of stages."""
@@ -287,44 +289,17 @@ def without_motions(sums: ScatterSums, scatter: Scatter) -> Marginal:
     return Marginal(total, information, gradient, sums.mean, sums.sigma)
 
 
-def tridiagonal(information: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the diagonal and off-diagonal (c + 1,), (c,) of a tridiagonal matrix with the same evidence.
-
-    It is the matrix with a border of the gradient, turned such that the border has one element: the first
-    off-diagonal one (G. H. Golub and G. Meurant, "Matrices, Moments and Quadrature", 1994).
+def costs_of_sizes(information: FloatArray, gradient: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Return the changes (s,) of -2 log evidence if coefficients of a common size are integrated out.
 
     Args:
-        information: (c, c) positive semi-definite.
-        gradient: (c,).
-    """
-    count = len(gradient)
-    bordered = np.zeros((count + 1, count + 1), order="F")
-    bordered[1:, 0], bordered[1:, 1:] = gradient, information
-    work, _ = lapack.dsytrd_lwork(count + 1, lower=1)
-    _, diagonal, beside, _, failed = lapack.dsytrd(bordered, lower=1, lwork=int(work), overwrite_a=1)
-    if failed:
-        raise np.linalg.LinAlgError("a matrix of a field has no tridiagonal form")
-    return diagonal, beside
-
-
-def costs_of_sizes(tridiagonals: Sequence[tuple[FloatArray, FloatArray]], sizes: FloatArray) -> FloatArray:
-    """Return the changes (t, s) of -2 log evidence if coefficients of a common size are integrated out.
-
-    Args:
-        tridiagonals: t results of `tridiagonal`, of one shape.
+        information, gradient: (c, c) and (c,) as in `Marginal`.
         sizes: (s,) standard deviations of the coefficients.
     """
-    diagonal, beside = (np.stack(each)[..., None] for each in zip(*tridiagonals, strict=True))
-    square = sizes**2
-    scaled, coupled = 1.0 + square * diagonal, (square * beside) ** 2
-    pivot, determinant = scaled[:, -1], np.zeros((len(tridiagonals), len(sizes)))
-    for row in range(diagonal.shape[1] - 2, 0, -1):
-        # Pivots from the last row up are at least one, except for rounding.
-        pivot = pivot.clip(1.0)
-        determinant += np.log(pivot)
-        pivot = scaled[:, row] - coupled[:, row] / pivot
-    pivot = pivot.clip(1.0)
-    return np.asarray(determinant + np.log(pivot) - square * beside[:, 0] ** 2 / pivot)
+    values, axes = np.linalg.eigh(information)
+    square = sizes[:, None] ** 2
+    normal = 1.0 + square * values.clip(0.0)
+    return np.asarray(np.sum(np.log(normal) - square * (gradient @ axes) ** 2 / normal, axis=1))
 
 
 def surprise(scatter: Scatter, sums: ScatterSums) -> float:

@@ -105,9 +105,7 @@ def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray) -> 
 def one_by_one(sums: ScatterSums, best: Scatter, least: float, captures: IntArray) -> tuple[Scatter, float]:
     """Add each of some captures to the ones that moved, or remove it, if that has the higher evidence."""
     for number in captures:
-        moved = best.moved.copy()
-        moved[number] = not moved[number]
-        at = replace(best, moved=moved)
+        at = best.with_other(number)
         if cost(sums, at) < least:
             best, least = best_scatter(sums, at)
     return best, least
@@ -123,13 +121,6 @@ def scatter_errors(sums: ScatterSums, scatter: Scatter) -> FloatArray:
     at_best = at(first)
     curvature = np.array([(at(first + step * u) - 2 * at_best + at(first - step * u)) / step**2 for u in np.eye(9)])
     return np.asarray(np.sqrt(2.0 / curvature.clip(1e-3)).reshape(3, PARTS))
-
-
-def one_at_rest(scatter: Scatter, number: int) -> Scatter:
-    """Return the scatter with one capture marked as not moved."""
-    moved = scatter.moved.copy()
-    moved[number] = False
-    return replace(scatter, moved=moved)
 
 
 def _own_gain(sums: ScatterSums, scatter: Scatter) -> FloatArray:

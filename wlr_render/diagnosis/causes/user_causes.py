@@ -78,9 +78,7 @@ def _loaded(source: str) -> Any:
     """Return `CAUSES` of a Python file or of a module."""
     try:
         module = _module_of_file(Path(source)) if source.endswith(".py") else importlib.import_module(source)
-    except BadInputError:
-        raise
-    except KeyboardInterrupt:
+    except (BadInputError, KeyboardInterrupt):
         raise
     except BaseException as error:  # a module may raise SystemExit or any exception that it defines
         raise _failed(source, error) from error
