@@ -271,34 +271,12 @@ def middle_channel(channels: Sequence[_OfChannel]) -> _OfChannel:
     return channels[len(channels) // 2]
 
 
-class PlanarDisplay(Protocol):
-    """Protocol of display mappings that a shader can solve: tangents of a pixel on a base plane.
+class PlanarModel(Protocol):
+    """Protocol of mappings that a shader can solve: a polynomial of the point p~ = place.carry(viewpoint, t).
 
-    A viewpoint sees a pixel under the tangents t(pixel, p~) with p~ = place.carry(viewpoint, t).
-    """
-
-    @property
-    def panel(self) -> Panel:
-        """The panel whose pixels are mapped."""
-
-    @property
-    def eye_box(self) -> EyeBox:
-        """Eye box; a viewpoint more than `EYE_BOX_MARGIN` outside it is OUTSIDE_FIT."""
-
-    @property
-    def place(self) -> BasePlane:
-        """Base plane of p~."""
-
-    @property
-    def forward(self) -> Polynomial:
-        """Polynomial (u px, v px, x m, y m) -> (tx, ty)."""
-
-
-class PlanarSeeThrough(Protocol):
-    """Protocol of see-through mappings that a shader can evaluate: deviation from the straight ray.
-
-    With p~ = place.carry(viewpoint, t) the ray in the world passes through (p~ + B, z of the plane at p~) with
-    tangents t + A: B is an offset at constant z, also on a tilted plane.
+    A viewpoint sees a pixel of a display under the tangents t(pixel, p~). Through the optics, the ray of the tangents t
+    passes through (p~ + B, z of the plane at p~) with tangents t + A: B is an offset at constant z, also on a tilted
+    plane.
     """
 
     @property
@@ -307,23 +285,22 @@ class PlanarSeeThrough(Protocol):
 
     @property
     def place(self) -> BasePlane:
-        """Base plane of p~, not necessarily the display's."""
+        """Base plane of p~, not necessarily that of the eye's other mapping."""
 
     @property
-    def deviation(self) -> Polynomial:
-        """Polynomial (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m)."""
+    def modelled(self) -> Polynomial:
+        """Polynomial (u px, v px, x m, y m) -> (tx, ty), or (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m)."""
 
 
 def is_planar(mappings: Eye) -> bool:
-    """Return whether an eye has planar models of polynomials, on both sides."""
-    parts = ((mappings.display, "forward"), (mappings.see_through, "deviation"))
+    """Return whether both mappings of an eye are planar models of polynomials."""
     return all(
-        isinstance(getattr(side, "place", None), BasePlane) and isinstance(getattr(side, name), Polynomial)
-        for side, name in parts
+        isinstance(getattr(side, "place", None), BasePlane) and isinstance(getattr(side, "modelled", None), Polynomial)
+        for side in (mappings.display, mappings.see_through)
     )
 
 
-def require_planar(mappings: Eye) -> tuple[PlanarDisplay, PlanarSeeThrough]:
+def require_planar(mappings: Eye) -> tuple[PlanarModel, PlanarModel]:
     """Return the planar display and see-through models of an eye.
 
     Raises:

@@ -13,7 +13,7 @@ import numpy as np
 
 from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_report import AnyModel
-from wlr_render.calibration.model_kinds import Side
+from wlr_render.calibration.model_kinds import Side, nearest_to_centre
 from wlr_render.calibration.readings import TREND_ALONE, FitReadings
 from wlr_render.captures.correspondences import AnyCaptures
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
@@ -181,7 +181,7 @@ def fit_structure(
         BadInputError: the regressor cannot use the captures.
     """
     how = side.kinds[structure]
-    used = side.nearest(captures) if how.at_one_position else captures
+    used = nearest_to_centre(captures) if how.at_one_position else captures
     plane = choose_base_plane(used.viewpoint, used.eye_box)
     side.check(used, structure, plane)
     place = how.place or plane

@@ -140,7 +140,7 @@ def test_a_moved_planar_display_stays_one_for_the_shader_and_another_does_not_be
     place = np.broadcast_to(eye.eye_box.centre[:2], pixel.shape)
     at_calibration = pixel + [1.5, -0.5] + 1e-3 * (pixel - 0.5 * moved.panel.size_px)
     of_still = eye.display.forward(np.concatenate([at_calibration, place], axis=1))
-    np.testing.assert_allclose(display.forward(np.concatenate([pixel, place], axis=1)), of_still, atol=1e-12)
+    np.testing.assert_allclose(display.modelled(np.concatenate([pixel, place], axis=1)), of_still, atol=1e-12)
     traced = MovedPanelDisplay(traced_eye(load_device(DEVICE)).display, np.zeros(2))
     assert not is_planar(replace(eye, display=traced))
 

@@ -15,7 +15,7 @@ from wlr_render.calibration.readings import (
     without_thickness,
 )
 from wlr_render.calibration.smooth_prior import Stage
-from wlr_render.captures.correspondences import DisplayCaptures, select
+from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.fitted_model import FittedDisplay
@@ -125,11 +125,6 @@ def _points(captures: DisplayCaptures, _: ModelPlace, point: Regressor, spread: 
     return PointPerPixelDisplay(captures.panel, captures.eye_box, point, spread)
 
 
-def _nearest_to_centre(captures: DisplayCaptures) -> DisplayCaptures:
-    distance = np.linalg.norm(captures.viewpoint - captures.eye_box.centre, axis=1)
-    return select(captures, captures.capture == captures.capture[np.argmin(distance)])
-
-
 def _lacking(captures: DisplayCaptures, kind: str) -> str:
     places = len(np.unique(captures.capture))
     if kind == "point-per-pixel" and places < 2:
@@ -150,7 +145,6 @@ DISPLAY: Side[DisplayCaptures, FittedDisplay] = Side(
         "prescription": ModelKind(_readings, _model, needs_trend=True, is_trend_alone=True),
     },
     DISPLAY_LIMITS,
-    _nearest_to_centre,
     lambda captures, kind, plane: None,
     _lacking,
 )

@@ -15,7 +15,7 @@ from wlr_render.calibration.readings import (
     motion_of,
     without_thickness,
 )
-from wlr_render.captures.correspondences import SeeThroughCaptures, select
+from wlr_render.captures.correspondences import SeeThroughCaptures
 from wlr_render.captures.feature_captures import TARGET_POSES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
@@ -162,17 +162,6 @@ def _lacking(captures: SeeThroughCaptures, kind: str) -> str:
     )
 
 
-def _nearest_to_centre(captures: SeeThroughCaptures) -> SeeThroughCaptures:
-    """Of each target pose, the camera position nearest to the eye box's centre."""
-    distance = np.linalg.norm(captures.viewpoint - captures.eye_box.centre, axis=1)
-    chosen = np.zeros(len(captures), dtype=bool)
-    for pose in np.unique(captures.target_pose):
-        rows = np.flatnonzero(captures.target_pose == pose)
-        nearest = captures.capture[rows[np.argmin(distance[rows])]]
-        chosen[rows] = captures.capture[rows] == nearest
-    return select(captures, chosen)
-
-
 SEE_THROUGH: Side[SeeThroughCaptures, FittedSeeThrough] = Side(
     "see-through",
     "direction",
@@ -184,7 +173,6 @@ SEE_THROUGH: Side[SeeThroughCaptures, FittedSeeThrough] = Side(
         "prescription": ModelKind(_on_plane, _model, needs_trend=True, is_trend_alone=True),
     },
     SEE_THROUGH_LIMITS,
-    _nearest_to_centre,
     _check,
     _lacking,
 )

@@ -13,7 +13,7 @@ from wlr_render.calibration.reading_sums import UndeterminedModelError
 from wlr_render.calibration.readings import TREND_ALONE, FitReadings, Limits, Trend
 from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.calibration.smooth_search import fit_within
-from wlr_render.captures.correspondences import AnyCaptures
+from wlr_render.captures.correspondences import AnyCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.contraction import require_unique
@@ -53,6 +53,17 @@ def _with_orders(
     return replace(readings_within(captures, limits=TREND_ALONE, **given), orders=orders)
 
 
+def nearest_to_centre(captures: AnyCaptures) -> AnyCaptures:
+    """Return the captures, of each target pose, from the camera position nearest to the eye box's centre."""
+    distance = np.linalg.norm(captures.viewpoint - captures.eye_box.centre, axis=1)
+    poses = getattr(captures, "target_pose", np.zeros(len(captures)))
+    chosen = np.zeros(len(captures), dtype=bool)
+    for pose in np.unique(poses):
+        rows = np.flatnonzero(poses == pose)
+        chosen[rows] = captures.capture[rows] == captures.capture[rows[np.argmin(distance[rows])]]
+    return select(captures, chosen)
+
+
 @dataclass(frozen=True)
 class Side(Generic[AnyCaptures, AnyModel]):
     """Display or see-through.
@@ -62,7 +73,6 @@ class Side(Generic[AnyCaptures, AnyModel]):
         subject: what the model's inputs are beside the place, "pixel" or "direction".
         kinds: by name; "planar" is one of them.
         limits: of the orders of the fit that finds which terms matter, and of all fits; see `smooth_search.fit_within`.
-        nearest: captures -> those from the camera position nearest to the eye box's centre.
         check: (captures, kind, plane), refuses captures that no fit is needed to refuse.
         lacking: (captures, kind) -> what captures that do not determine a model lack, as the end of a sentence.
     """
@@ -71,7 +81,6 @@ class Side(Generic[AnyCaptures, AnyModel]):
     subject: str
     kinds: Mapping[str, ModelKind[AnyCaptures, AnyModel]]
     limits: tuple[Limits, ...]
-    nearest: Callable[[AnyCaptures], AnyCaptures]
     check: Callable[[AnyCaptures, str, BasePlane], None]
     lacking: Callable[[AnyCaptures, str], str]
 
@@ -94,7 +103,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
             raise BadInputError(
                 f"a {kind} {self.name} model needs the device's prescription; name it, or fit a planar model."
             )
-        used = self.nearest(captures) if how.at_one_position else captures
+        used = nearest_to_centre(captures) if how.at_one_position else captures
         self._require_at_eye_box(used)
         plane = base_plane or choose_base_plane(used.viewpoint, used.eye_box)
         self.check(used, kind, plane)

@@ -7,7 +7,6 @@ import numpy as np
 from wlr_render.mappings import DisplayMapping, EyeBox, Panel, QueryResult
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial
-from wlr_render.numerics.regressor import Regressor
 
 
 def pixel_at_calibration(
@@ -19,7 +18,7 @@ def pixel_at_calibration(
 
 @dataclass(frozen=True, eq=False)
 class MovedPanelDisplay:
-    """A `DisplayMapping` with the panel shifted and scaled about its middle; a `PlanarDisplay` if `still` is one.
+    """A `DisplayMapping` with the panel shifted and scaled about its middle; a `PlanarModel` if `still` is one.
 
     Attributes:
         still: the mapping with the panel where it was calibrated.
@@ -38,20 +37,20 @@ class MovedPanelDisplay:
 
     @property
     def eye_box(self) -> EyeBox:
-        """The eye box; see `PlanarDisplay`."""
+        """The eye box; see `PlanarModel`."""
         return self.still.eye_box  # type: ignore[attr-defined, no-any-return]  # absent where it is absent there
 
     @property
     def place(self) -> object:
-        """The base plane; see `PlanarDisplay`."""
+        """The base plane; see `PlanarModel`."""
         return getattr(self.still, "place", None)
 
     @property
-    def forward(self) -> Regressor:
-        """The polynomial of `PlanarDisplay`, with its inputs in a moved box."""
-        forward: Regressor = self.still.forward  # type: ignore[attr-defined]
+    def modelled(self) -> Polynomial | None:
+        """The polynomial of `PlanarModel`, with its inputs in a moved box."""
+        forward = getattr(self.still, "modelled", None)
         if not isinstance(forward, Polynomial):
-            return forward
+            return None
         low, high = (np.r_[self._back(edge[:2]), edge[2:]] for edge in (forward.box.low, forward.box.high))
         return Polynomial(forward.orders, Box(low, high), forward.coefficients)
 

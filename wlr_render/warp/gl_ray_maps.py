@@ -98,8 +98,8 @@ class GlPlanarSolver:
         """
         self._display, self._see_through = require_planar(mappings)
         self._context, self._warp_grid, self._device_from_camera = context, warp_grid, device_from_camera
-        display = thinned(self._display.forward, np.full(2, DROPPED))
-        deviation = thinned(self._see_through.deviation, DROPPED * np.array([1.0, 1.0, NEAREST_M, NEAREST_M]))
+        display = thinned(self._display.modelled, np.full(2, DROPPED))
+        deviation = thinned(self._see_through.modelled, DROPPED * np.array([1.0, 1.0, NEAREST_M, NEAREST_M]))
         parts = display.bound, deviation.bound[:2], deviation.bound[2:] / NEAREST_M
         self.dropped_arcmin = float(sum(np.linalg.norm(part) for part in parts)) / ARCMIN
         functions = held_source("display", display.polynomial) + value_source("deviation", deviation.polynomial)
