@@ -21,6 +21,7 @@ from wlr_render.io.atomic_files import resource
 from wlr_render.io.toml_files import write_toml
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions
 from wlr_render.jobs.calibrate.photos import READ, calibrated, report_of
+from wlr_render.report.save import save_report
 from wlr_render.simulation.photographs import recipe, simulate_photo_session, take_photographs
 from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
@@ -200,7 +201,7 @@ def made_session(folder, family="polynomial"):
         simulate_photo_session.simulate_photo_session(session.folder, made)
         session.edit(state_lenses)
         found = session.calibrate()
-        return session, found, report_of(found, session.options)
+        return session, found, save_report(report_of(found, session.options), session.out)
 
 
 def copied(session, folder):

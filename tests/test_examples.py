@@ -21,7 +21,7 @@ from wlr_render.captures.session import Readings, Session, SessionPlan, select_r
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.extras import install_command
 from wlr_render.gl.native_contexts import OsMesaContext
-from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
+from wlr_render.jobs.frame_plan import motion_of, planned_frames
 from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.render import RenderOptions
 
@@ -168,9 +168,7 @@ def test_the_trajectories_cover_three_seconds_inside_the_eye_boxes():
     options = RenderOptions(
         "northstar", "desk", head=data / "head.tum", eye_track=data / "eyes.txt", eye="both", frames_per_second=10.0
     )
-    plan = planned_frames(
-        options, {eye: open_eye("northstar", eye) for eye in ("left", "right")}, *read_trajectories(options)
-    )
+    plan = planned_frames(motion_of(options), {eye: open_eye("northstar", eye) for eye in ("left", "right")})
     assert [(frame.time_s, frame.eye) for frame in plan[:: len(plan) - 1]] == [(0.0, "left"), (3.0, "right")]
     assert len(plan) == 62
     assert len({tuple(frame.viewpoint) for frame in plan}) > 20

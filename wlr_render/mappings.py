@@ -285,7 +285,7 @@ class PlanarModel(Protocol):
 
     @property
     def place(self) -> BasePlane:
-        """Base plane of p~, not necessarily that of the eye's other mapping."""
+        """Base plane of p~; the eye's other mapping may have another."""
 
     @property
     def modelled(self) -> Polynomial:

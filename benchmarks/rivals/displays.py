@@ -6,6 +6,7 @@ import numpy as np
 
 from benchmarks.rivals.kernels import gaussian_process, kernel_ridge
 from benchmarks.rivals.map_tables import PositionMaps
+from benchmarks.rivals.numeric_regressor import Regressor
 from benchmarks.rivals.pinhole import direct_plane, indica_full
 from benchmarks.rivals.plane_and_polynomial import wientapper_display
 from benchmarks.rivals.point_table import klemm_grid
@@ -15,7 +16,6 @@ from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import DisplayMapping
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.regressor import Regressor
 
 FitDisplay = Callable[[DisplayCaptures], DisplayMapping]
 

@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from benchmarks.rivals.network_training import TanhLayers, trained
+from benchmarks.rivals.numeric_regressor import Regressor
 from benchmarks.rivals.samples import Samples, least_squares
 from wlr_render.calibration.readings import FitReadings
 from wlr_render.captures.correspondences import DisplayCaptures
@@ -29,7 +30,6 @@ from wlr_render.models.fitted_model import Answer, FittedDisplay, joined
 from wlr_render.models.inverse import solve_warm_then_cold
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
-from wlr_render.numerics.regressor import Regressor
 
 _FREQUENCIES = 2.0 ** np.arange(4) * np.pi / 2.0
 _DIOPTRES = np.linspace(-1.0, 4.0, 8)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box
+from wlr_render.numerics.polynomial import Box, Polynomial
 
 _STEP = 1e-5  # step of the differences, relative to the box
 _CHUNK = 4_096  # inputs at once: kernels hold a number for each pair of input and centre
@@ -21,7 +21,7 @@ class NumericRegressor:
         box: box of the inputs.
         outputs: number of outputs.
         numbers: number of numbers that a file stores.
-        rounding: see `Regressor`, for values of about 1.
+        rounding: rounding error of the values, for values of about 1; tolerances of solves are not smaller.
     """
 
     function: Callable[[FloatArray], FloatArray]
@@ -53,6 +53,9 @@ class NumericRegressor:
         return _HeldNumeric(self, tuple(axes), inputs)
 
 
+Regressor = Polynomial | NumericRegressor
+
+
 @dataclass(frozen=True, eq=False)
 class _HeldNumeric:
     whole: NumericRegressor
@@ -68,10 +71,10 @@ class _HeldNumeric:
         return joined, free
 
     def __call__(self, inputs: FloatArray, index: IntArray | None = None) -> FloatArray:
-        """Return the values; see `HeldRegressor`."""
+        """Return the values; see `HeldPolynomial`."""
         return self.whole(self._joined(inputs, index)[0])
 
     def with_jacobian(self, inputs: FloatArray, index: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return values and Jacobian; see `HeldRegressor`."""
+        """Return values and Jacobian; see `HeldPolynomial`."""
         joined, free = self._joined(inputs, index)
         return self.whole.with_jacobian(joined, free)

@@ -8,7 +8,7 @@ variant, which is not theirs.
 
 import numpy as np
 
-from benchmarks.rivals.numeric_regressor import NumericRegressor
+from benchmarks.rivals.numeric_regressor import NumericRegressor, Regressor
 from benchmarks.rivals.pinhole import direct_plane
 from benchmarks.rivals.samples import Samples, fit_structure
 from wlr_render.calibration.base_plane import choose_base_plane
@@ -17,7 +17,6 @@ from wlr_render.calibration.fit_see_through import SEE_THROUGH
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.regressor import Regressor
 
 
 def wientapper_display(

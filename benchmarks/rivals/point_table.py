@@ -5,6 +5,8 @@ applications", Cyberworlds 2016, and "High accuracy pixel-wise spatial calibrati
 Computers & Graphics 64, 2017. `models.point_per_pixel` with a polynomial over the panel is the smooth version.
 """
 
+from typing import Any
+
 import numpy as np
 from scipy.interpolate import RBFInterpolator, RegularGridInterpolator
 from scipy.spatial import Delaunay, QhullError
@@ -65,9 +67,8 @@ def klemm_grid(captures: DisplayCaptures, columns: int = _COLUMNS, rows: int = _
         scaled = maps.box.scaled(nodes)
         points[~known] = RBFInterpolator(scaled[known], points[known], kernel="thin_plate_spline")(scaled[~known])
     table = RegularGridInterpolator(axes, points.reshape(columns, rows, 3), bounds_error=False, fill_value=None)
-    return PointPerPixelDisplay(
-        captures.panel, captures.eye_box, NumericRegressor(table, maps.box, outputs=3, numbers=points.size)
-    )
+    point: Any = NumericRegressor(table, maps.box, outputs=3, numbers=points.size)
+    return PointPerPixelDisplay(captures.panel, captures.eye_box, point)
 
 
 def _within(nodes: FloatArray, pixel: FloatArray) -> FloatArray:

@@ -8,17 +8,19 @@ bundle of the paper's sections 3.3 and 3.4). Each regressor can be fitted in eac
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from benchmarks.rivals.numeric_regressor import Regressor
 from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_report import AnyModel
 from wlr_render.calibration.model_kinds import Side, nearest_to_centre
 from wlr_render.calibration.readings import TREND_ALONE, FitReadings
 from wlr_render.captures.correspondences import AnyCaptures
+from wlr_render.models.model_place import NOWHERE
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial, basis, term_count, total_degree
-from wlr_render.numerics.regressor import Regressor
 
 FOLDS = 5
 """Parts of the camera positions, each of which is left out once to choose hyperparameters."""
@@ -181,10 +183,10 @@ def fit_structure(
         BadInputError: the regressor cannot use the captures.
     """
     how = side.kinds[structure]
-    used = nearest_to_centre(captures) if how.at_one_position else captures
+    used = nearest_to_centre(captures) if how.place is NOWHERE else captures
     plane = choose_base_plane(used.viewpoint, used.eye_box)
     side.check(used, structure, plane)
     place = how.place or plane
     readings = how.readings(used, place, TREND_ALONE, None)
-    regressor = fit(Samples(readings, np.unique(used.capture, return_inverse=True)[1]))
+    regressor: Any = fit(Samples(readings, np.unique(used.capture, return_inverse=True)[1]))
     return how.model(used, place, regressor, None), regressor

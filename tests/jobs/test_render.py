@@ -18,7 +18,7 @@ from wlr_render.jobs import frame_drawing
 from wlr_render.jobs.budget import opened_with_sizes
 from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.demo import DemoOptions, demo
-from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
+from wlr_render.jobs.frame_plan import motion_of, planned_frames
 from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.mappings import EyeBox
@@ -630,7 +630,7 @@ def test_the_last_frame_is_not_rounded_beyond_the_track(options, tmp_path):
     # 0.1 + 1 / 20 is more than 0.15 by one bit.
     head = still_head(tmp_path / "head.tum", [0.1, 0.15])
     job = replace(options, head=head, frames_per_second=20.0)
-    plan = planned_frames(job, {"right": open_eye(options.headset)}, *read_trajectories(job))
+    plan = planned_frames(motion_of(job), {"right": open_eye(options.headset)})
     assert [planned.time_s for planned in plan] == [0.1, 0.15]
 
 

@@ -11,7 +11,7 @@ from jobs.test_render import moving_wearer, pictures
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import frame_drawing
 from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, draw_block
-from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
+from wlr_render.jobs.frame_plan import motion_of, planned_frames
 from wlr_render.jobs.render import render
 
 
@@ -28,7 +28,7 @@ def whole(folder):
 
 def block_of(options):
     opened = OpenedFiles.of(options)
-    plan = planned_frames(options, opened.middle(), *read_trajectories(options))
+    plan = planned_frames(motion_of(options), opened.middle())
     return FrameDrawing(options, opened, None).block(plan[:1])
 
 

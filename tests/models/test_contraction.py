@@ -26,7 +26,6 @@ from wlr_render.geometry.planes import BasePlane
 from wlr_render.geometry.rays import at_z
 from wlr_render.mappings import EYE_BOX_MARGIN
 from wlr_render.models.contraction import NEAREST_POINT_M, require_unique
-from wlr_render.models.inverse import Deviation
 
 RNG = np.random.default_rng(4)
 COUNT = 20_000
@@ -83,17 +82,13 @@ def test_see_through_contraction_is_that_of_its_rays(kind, plane):
 @pytest.mark.parametrize("plane", PLANES, ids=["untilted", "tilted"])
 def test_derivative_of_the_apparent_displacement_is_that_of_differences(plane):
     def seen_at(tangents):
-        depth = plane.depth_along(viewpoint, tangents)
-        value, jacobian = deviation.with_jacobian(np.hstack([plane.carry(viewpoint, tangents), tangents]))
-        by_tangents = jacobian[..., 2:] + jacobian[..., :2] @ plane.carry_by_tangents(depth, tangents)
-        at = Deviation(value, by_tangents, depth, plane.depth_by_tangents(depth, tangents))
-        return at.seen_at(np.full(COUNT, 4.0))
+        return see_through.displacement_at(tangents, viewpoint, np.full(COUNT, 4.0))
 
     deviation, viewpoint, step = bundle_see_through().deviation, viewpoints(), small_steps()
     # As strong as A at large, so that the motion of the plane's depth counts.
-    deviation = dataclasses.replace(
-        deviation, coefficients=deviation.coefficients + 0.5 * (deviation.orders == 0).all(1)[:, None]
-    )
+    coefficients = deviation.coefficients + 0.5 * (deviation.orders == 0).all(1)[:, None]
+    deviation = dataclasses.replace(deviation, coefficients=coefficients)
+    see_through = dataclasses.replace(bundle_see_through(), place=plane, deviation=deviation)
     tangents = RNG.uniform(-0.4, 0.4, (COUNT, 2))
     (before, _), (after, _), (_, slope) = seen_at(tangents - step), seen_at(tangents + step), seen_at(tangents)
     expected = (after - before) / (2 * STEP)

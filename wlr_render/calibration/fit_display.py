@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.label_terms import drift_term, stage_labels
 from wlr_render.calibration.model_kinds import ModelKind, Side
 from wlr_render.calibration.readings import (
@@ -14,7 +13,6 @@ from wlr_render.calibration.readings import (
     motion_of,
     without_thickness,
 )
-from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.display_model import DisplayModel
@@ -24,39 +22,10 @@ from wlr_render.models.model_place import NOWHERE, VIEWPOINT, ModelPlace
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.regressor import Regressor
+from wlr_render.numerics.polynomial import Polynomial
 
 DISPLAY_LIMITS = (Limits(8, 5, 8), Limits(10, 5, 10), Limits(pixel=12, place=6, total=12))
 """Of the first fit, and of all fits; the terms between them are used as far as they matter."""
-
-
-def fit_display(
-    captures: DisplayCaptures,
-    kind: str = "planar",
-    degree: int | None = None,
-    base_plane: BasePlane | None = None,
-    trend: Trend | None = None,
-    weights: FloatArray | None = None,
-    stage: Stage | None = None,
-) -> ModelFit[FittedDisplay]:
-    """Fit a display model to captures of the panel by maximum evidence.
-
-    Args:
-        captures: what was measured.
-        kind: "planar" (viewpoints are carried along their measured rays to the base plane), "volumetric",
-            "static" (only the camera position nearest to the eye box's centre is used), "point-per-pixel", or with a
-            trend "grey-box" (planar, and the trend is its prior mean) or "prescription" (the trend alone).
-        degree: highest total degree; None for the terms within `DISPLAY_LIMITS` that matter.
-        base_plane: of a planar model; None for the plane of `choose_base_plane`.
-        trend: (u px, v px, x m, y m) -> (tx, ty) on that plane; of a grey box or prescription.
-        weights: (n,) of the captures' readings, see `smooth_search.fit`.
-        stage: what other captures of the bench tell of the stage's errors; None to find them.
-
-    Raises:
-        BadInputError: an unknown kind, captures that determine nothing or contradict each other, or a model that may
-            have two solutions; the sentence says what is missing.
-    """
-    return DISPLAY.fit(captures, kind, degree, base_plane, trend, weights, stage)
 
 
 def _readings(captures: DisplayCaptures, place: ModelPlace, limits: Limits, trend: Trend | None) -> FitReadings:
@@ -116,12 +85,12 @@ def _of_points(captures: DisplayCaptures, place: ModelPlace, limits: Limits, tre
 
 
 def _model(
-    captures: DisplayCaptures, place: ModelPlace, forward: Regressor, spread: Covariance | None
+    captures: DisplayCaptures, place: ModelPlace, forward: Polynomial, spread: Covariance | None
 ) -> FittedDisplay:
     return DisplayModel(captures.panel, captures.eye_box, place, forward, backward_start_of(forward), spread)
 
 
-def _points(captures: DisplayCaptures, _: ModelPlace, point: Regressor, spread: Covariance | None) -> FittedDisplay:
+def _points(captures: DisplayCaptures, _: ModelPlace, point: Polynomial, spread: Covariance | None) -> FittedDisplay:
     return PointPerPixelDisplay(captures.panel, captures.eye_box, point, spread)
 
 
@@ -139,8 +108,8 @@ DISPLAY: Side[DisplayCaptures, FittedDisplay] = Side(
     {
         "planar": ModelKind(_readings, _model),
         "volumetric": ModelKind(_readings, _model, VIEWPOINT),
-        "static": ModelKind(_readings, _model, NOWHERE, has_places=False, at_one_position=True),
-        "point-per-pixel": ModelKind(_of_points, _points, has_places=False),
+        "static": ModelKind(_readings, _model, NOWHERE),
+        "point-per-pixel": ModelKind(_of_points, _points),
         "grey-box": ModelKind(_readings, _model, needs_trend=True),
         "prescription": ModelKind(_readings, _model, needs_trend=True, is_trend_alone=True),
     },
@@ -148,3 +117,5 @@ DISPLAY: Side[DisplayCaptures, FittedDisplay] = Side(
     lambda captures, kind, plane: None,
     _lacking,
 )
+fit_display = DISPLAY.fit
+"""Fit a display model; a trend is (u px, v px, x m, y m) -> (tx, ty) on the base plane."""

@@ -278,10 +278,7 @@ class ModelFit(Generic[AnyModel]):
 
     def seen(self, captures: DisplayCaptures | SeeThroughCaptures) -> QueryResult:
         """View directions that the model predicts for captures of the kind that it was fitted to."""
-        subject = self._subject(captures)
-        if isinstance(self.mapping, FittedDisplay):
-            return self.mapping.view_dir_of_pixel(subject, captures.viewpoint)
-        return self.mapping.view_dir_of_real_point(subject, captures.viewpoint)
+        return self.mapping.view_dir(self._subject(captures), captures.viewpoint)
 
     @property
     def _has_places(self) -> bool:

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.label_terms import board_terms, drift_term, stage_labels
 from wlr_render.calibration.model_kinds import ModelKind, Side
 from wlr_render.calibration.readings import (
@@ -24,36 +23,10 @@ from wlr_render.models.model_place import NOWHERE, VIEWPOINT, ModelPlace, OwnPla
 from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.regressor import Regressor
+from wlr_render.numerics.polynomial import Polynomial
 
 SEE_THROUGH_LIMITS = (Limits(6, 4, 6), Limits(8, 5, 8), Limits(pixel=12, place=6, total=12))
 """Likewise, of direction and place: deviations are smoother than the display's distortion."""
-
-
-def fit_see_through(
-    captures: SeeThroughCaptures,
-    kind: str = "planar",
-    degree: int | None = None,
-    base_plane: BasePlane | None = None,
-    trend: Trend | None = None,
-    weights: FloatArray | None = None,
-) -> ModelFit[FittedSeeThrough]:
-    """Fit a see-through model to captures of real points, as deviation from straight rays, by maximum evidence.
-
-    Args:
-        captures: what was measured, at two or more target depths.
-        kind: "planar", "volumetric", "static" (of each target pose, only the camera position nearest to the eye
-            box's centre is used), or with a trend "grey-box" or "prescription"; see `fit_display`.
-        degree: highest total degree; None for the terms within `SEE_THROUGH_LIMITS` that matter.
-        base_plane: of a planar model; None for the plane of `choose_base_plane`.
-        trend: (x m, y m, tx, ty) -> (A, B) on that plane; of a grey box or prescription.
-        weights: (n,) of the captures' readings, see `smooth_search.fit`.
-
-    Raises:
-        BadInputError: an unknown kind, a point behind the base plane, captures that determine nothing or contradict
-            each other, or a model that may have two solutions; the sentence says what is missing.
-    """
-    return SEE_THROUGH.fit(captures, kind, degree, base_plane, trend, weights)
 
 
 def _on_plane(captures: SeeThroughCaptures, place: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
@@ -138,7 +111,7 @@ def _readings(
 
 
 def _model(
-    captures: SeeThroughCaptures, place: ModelPlace, deviation: Regressor, spread: Covariance | None
+    captures: SeeThroughCaptures, place: ModelPlace, deviation: Polynomial, spread: Covariance | None
 ) -> FittedSeeThrough:
     return SeeThroughModel(captures.eye_box, place, deviation, spread)
 
@@ -168,7 +141,7 @@ SEE_THROUGH: Side[SeeThroughCaptures, FittedSeeThrough] = Side(
     {
         "planar": ModelKind(_on_plane, _model),
         "volumetric": ModelKind(_in_volume, _model, VIEWPOINT),
-        "static": ModelKind(_in_volume, _model, NOWHERE, has_places=False, at_one_position=True),
+        "static": ModelKind(_in_volume, _model, NOWHERE),
         "grey-box": ModelKind(_on_plane, _model, needs_trend=True),
         "prescription": ModelKind(_on_plane, _model, needs_trend=True, is_trend_alone=True),
     },
@@ -176,3 +149,8 @@ SEE_THROUGH: Side[SeeThroughCaptures, FittedSeeThrough] = Side(
     _check,
     _lacking,
 )
+fit_see_through = SEE_THROUGH.fit
+"""Fit a see-through model, the deviation from straight rays, to captures at two or more target depths.
+
+A trend is (x m, y m, tx, ty) -> (A, B) on the base plane.
+"""

@@ -17,11 +17,10 @@ from wlr_render.captures.correspondences import AnyCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.contraction import require_unique
-from wlr_render.models.model_place import ModelPlace, OwnPlace
+from wlr_render.models.model_place import NOWHERE, ModelPlace, OwnPlace
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box
-from wlr_render.numerics.regressor import Regressor
+from wlr_render.numerics.polynomial import Box, Polynomial
 
 
 @dataclass(frozen=True)
@@ -31,17 +30,13 @@ class ModelKind(Generic[AnyCaptures, AnyModel]):
     Attributes:
         readings: (captures, place, limits, trend) -> readings.
         model: (captures, place, regressor, spread) -> model.
-        place: place of its viewpoints; None for the base plane.
-        has_places: whether it depends on the camera position; if not, its orders have no limit for the place.
-        at_one_position: whether only the camera position nearest to the eye box's centre is used.
+        place: place of its viewpoints; None for the base plane. A model of no place is fitted at one camera position.
         needs_trend: whether it has a trend. is_trend_alone: and nothing else.
     """
 
     readings: Callable[..., FitReadings]
-    model: Callable[[AnyCaptures, ModelPlace, Regressor, Covariance | None], AnyModel]
+    model: Callable[[AnyCaptures, ModelPlace, Polynomial, Covariance | None], AnyModel]
     place: OwnPlace | None = None
-    has_places: bool = True
-    at_one_position: bool = False
     needs_trend: bool = False
     is_trend_alone: bool = False
 
@@ -87,14 +82,31 @@ class Side(Generic[AnyCaptures, AnyModel]):
     def fit(
         self,
         captures: AnyCaptures,
-        kind: str,
-        degree: int | None,
-        base_plane: BasePlane | None,
-        trend: Trend | None,
-        weights: FloatArray | None,
+        kind: str = "planar",
+        degree: int | None = None,
+        base_plane: BasePlane | None = None,
+        trend: Trend | None = None,
+        weights: FloatArray | None = None,
         stage: Stage | None = None,
     ) -> ModelFit[AnyModel]:
-        """Fit a model by maximum evidence; see `fit_display.fit_display`."""
+        """Fit a model to captures by maximum evidence.
+
+        Args:
+            captures: the readings.
+            kind: "planar" (viewpoints are carried along their measured rays to the base plane), "volumetric", "static"
+                (only the camera position nearest to the eye box's centre is used, of each target pose), for a display
+                "point-per-pixel", or with a trend "grey-box" (planar, and the trend is its prior mean) or
+                "prescription" (the trend alone).
+            degree: highest total degree; None for the terms within `limits` that matter.
+            base_plane: of a planar model; None for the plane of `choose_base_plane`.
+            trend: the model's values on that plane; of a grey box or prescription.
+            weights: (n,) of the captures' readings, see `smooth_search.fit`.
+            stage: errors of the stage that other captures of the bench found; None to find them.
+
+        Raises:
+            BadInputError: an unknown kind, a point behind the base plane, captures that determine nothing or contradict
+                each other, or a model that may have two solutions; the sentence names the remedy.
+        """
         if kind not in self.kinds:
             choice = ", ".join(self.kinds)
             raise BadInputError(f"the kind of {self.name} model '{kind}' is unknown; choose one of {choice}.")
@@ -103,7 +115,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
             raise BadInputError(
                 f"a {kind} {self.name} model needs the device's prescription; name it, or fit a planar model."
             )
-        used = nearest_to_centre(captures) if how.at_one_position else captures
+        used = nearest_to_centre(captures) if how.place is NOWHERE else captures
         self._require_at_eye_box(used)
         plane = base_plane or choose_base_plane(used.viewpoint, used.eye_box)
         self.check(used, kind, plane)
@@ -126,7 +138,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         readings_of = partial(_with_orders, readings_within, smooth.readings.orders)
         mapping = how.model(used, how.place or plane, smooth.polynomial, smooth.spread)
         contraction = require_unique(mapping.contraction(), kind, self.name)
-        orders = smooth.readings.limits.words(self.subject, how.has_places)
+        orders = smooth.readings.limits.words(self.subject, bool(smooth.readings.is_place.any()))
         return ModelFit(kind, mapping, used, smooth, readings_of, orders, contraction)
 
     def with_trend(self, fitted: ModelFit[AnyModel], plane: BasePlane, trend: Trend) -> ModelFit[AnyModel]:

@@ -11,7 +11,6 @@ from wlr_render.budget.eye_budget import PANEL_CELLS, DisparityShare, EyeBudget,
 from wlr_render.budget.registration_budget import MODEL, TRACKING_CAMERA
 from wlr_render.budget.statement import SourceShare
 from wlr_render.calibration.label_errors import REMEDIES
-from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.headset import effect_warnings, headset_path, is_model, open_eye
@@ -22,7 +21,6 @@ from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Block, Cell, Columns, Plot, Report, ReportTable, Section, Text, cell_text, table
 from wlr_render.report.plots import heat_map, small_heat_maps
-from wlr_render.report.save import save_report
 from wlr_render.warp.choose_grid import choose_warp_grid
 from wlr_render.work.progress import SILENT
 
@@ -47,7 +45,6 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
             found.append(eye_budget(mappings, options.depth_m, of_eye, options.camera_frame))
         eyes.append(mappings)
         sizes.append(of_eye)
-    folder = output_folder(options.out)
     blocks: list[Block] = []
     for each, mappings in zip(found, eyes, strict=True):
         blocks += _eye_blocks(each, mappings, options.depth_m)
@@ -56,7 +53,7 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
         blocks += [Section("Disparity of both eyes"), _disparity_table(disparity, options.depth_m)]
     blocks += [Section("How it is computed"), Text(_METHOD)]
     worst = max(found, key=lambda each: each.radius_arcmin)
-    report = Report(
+    return Report(
         f"Error budget of {eyes[0].name}",
         verdict=_verdict(found, options.depth_m),
         advice=_advice(worst),
@@ -64,8 +61,8 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
         blocks=blocks,
         inputs=[headset_path(options.headset)],
         record={"options": options, "eyes": found, "disparity": disparity},
+        stem="budget",
     )
-    return save_report(report, folder, "budget")
 
 
 def opened_with_sizes(options: BudgetOptions, eye: str) -> tuple[Eye, ErrorSizes]:

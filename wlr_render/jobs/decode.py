@@ -25,7 +25,6 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Code, Options, ProgressArgument, Range, described, described_size
 from wlr_render.mappings import Panel
 from wlr_render.report.blocks import Block, Columns, Picture, Report, ReportTable, table
-from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT, Progress
 
 if TYPE_CHECKING:
@@ -90,7 +89,7 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     files = find_code_files(options.folder, pattern.names(), options.order)
     codes = CodePhotographs(options.folder, files, pattern, _camera_format(options))
     report, *_ = decode_and_assess(codes, options.out, progress)
-    return save_report(replace(report, record=options), options.out)
+    return replace(report, record=options)
 
 
 def decode_and_assess(

@@ -68,7 +68,6 @@ from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Block, Picture, Plot, Report, ReportTable, Section, cell_text, table
 from wlr_render.report.plots import curves, small_heat_maps
-from wlr_render.report.save import save_report
 from wlr_render.scene.image_files import write_png
 from wlr_render.scene.scene import Scene
 from wlr_render.scene.scene_file import load_scene, scene_path
@@ -163,7 +162,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
                 _prediction_maps(truth, seen),
                 _distribution(seen),
             ]
-    report = Report(
+    return Report(
         f"Alignment of {scene.name} on {device.name}",
         " ".join(verdicts),
         warnings=[
@@ -178,7 +177,6 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
         files=files,
         record={"device": device.name, "seed": options.seed},
     )
-    return save_report(report, folder)
 
 
 def _verdict(errors: Mapping[str, Summary], what: str) -> str:

@@ -30,7 +30,6 @@ from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described, option_group
 from wlr_render.report.blocks import Report, Section
-from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT
 
 _BENCH = option_group("Bench to compare with", 1)
@@ -125,7 +124,7 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
         check_enough_captures(session)
     folder = output_folder(options.out)
     if options.show_cause is not None:
-        return save_report(_signature(options, options.show_cause, nominal, session), folder, SIGNATURE)
+        return replace(_signature(options, options.show_cause, nominal, session), stem=SIGNATURE)
     if (folder / CORRECTED).resolve() == options.session.resolve():
         raise BadInputError(f"{options.session}: the results would replace this session; choose another --out.")
     causes = options.candidates(nominal)
@@ -138,12 +137,12 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     files = write_corrected(folder / CORRECTED, found)
     report = diagnosis_report(found, in_use, options.inputs(), folder, options.add_causes)
     limits = [*_not_considered(options), *report.warnings, *_not_recorded(session)]
-    report = replace(report, warnings=limits, files=files)
+    report = replace(report, warnings=limits, files=files, stem=STEM)
     if options.hold_out:
         progress.say("predicting left-out captures and distances")
         with prefix_errors(options.session):
             report = _with_held_out(report, found)
-    return save_report(report, folder, STEM)
+    return report
 
 
 SIGNATURE = "signature"

@@ -31,7 +31,7 @@ from wlr_render.io.input_files import hashes_of_inputs
 from wlr_render.io.kept import LEDGER, Kept, recipe_of, signatures_of
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.export_page import export_page
-from wlr_render.jobs.frame_plan import gap_warnings, held_warnings, planned_frames
+from wlr_render.jobs.frame_plan import Motion, gap_warnings, held_warnings, planned_frames
 from wlr_render.jobs.headset import (
     PRIMARIES_UM,
     effect_warnings,
@@ -48,7 +48,6 @@ from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.media import GREEN_UM
 from wlr_render.report.blocks import Report
-from wlr_render.report.save import save_report
 from wlr_render.scene.exr_file import require_exr
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.trajectory import EyeTrajectory
@@ -96,7 +95,7 @@ def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Re
     ]
     read = [*_headset_files(options).values(), *filter(None, [options.eye_track])]
     page = export_page(options, form, views, [*maps, *check, folder / LEDGER], read, len(views) - len(missing))
-    return save_report(replace(page, warnings=warnings), folder)
+    return replace(page, warnings=warnings)
 
 
 def _solved(
@@ -149,7 +148,8 @@ def _planned(
     """All views, and warnings about the trajectory."""
     views: list[ExportedView] = []
     greens = {eye: middle_channel(each) for eye, each in channels.items()}
-    planned = planned_frames(options, greens, None, track) if track else []
+    motion = Motion(None, track, options.frames_per_second, options.frame_limit)
+    planned = planned_frames(motion, greens) if track else []
     for eye, first in views_from_centres(options, channels, inputs).items():
         pupils: list[tuple[str, FloatArray, float | None]]
         if track:
@@ -157,9 +157,7 @@ def _planned(
         else:
             pupils = [(stem, pupil, None) for stem, pupil in _still_pupils(options, greens[eye])]
         views += [first.moved_to(pupil, stem, time_s) for stem, pupil, time_s in pupils]
-    if track is None:
-        return views, []
-    return views, [*gap_warnings(options, None, track), *held_warnings(options, planned)]
+    return views, [*gap_warnings(motion, greens), *held_warnings(motion, planned)]
 
 
 def views_from_centres(

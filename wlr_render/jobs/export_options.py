@@ -129,11 +129,6 @@ class ExportOptions(Options):
         _require_held(self)
 
     @property
-    def head(self) -> None:
-        """A map does not depend on the head's pose."""
-        return None
-
-    @property
     def frames_per_second(self) -> float:
         """Frames per second of the eye trajectory."""
         return self.fps or _FRAMES_PER_SECOND

@@ -26,9 +26,9 @@ from wlr_render.io.kept import Facts, Signature, signatures_of
 from wlr_render.jobs.budget import opened_with_sizes
 from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.frame_labels import (
+    LABELS_FILE,
+    LAYERS_FILE,
     frame_misalignment,
-    labels_file,
-    layers_file,
     named_annotations,
     write_labels,
     write_layers,
@@ -147,35 +147,26 @@ def open_raster(options: RenderOptions, scene: Scene) -> SceneRaster | None:
     return raster
 
 
+_ERROR, _VIEW = "-error.tiff", ".json"  # endings of the names of a frame's files
+
+
 def map_files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
     """Warp maps of a frame; none unless they are asked for."""
-    if options.maps is None:
-        return []
-    stems = [f"{planned.stem}-{colour}" for colour in COLOURS] if options.has_colours else [planned.stem]
-    return [folder / f"{stem}.{options.maps}" for stem in stems]
-
-
-def picture_file(folder: Path, planned: PlannedFrame) -> Path:
-    """Return the path of the panel image."""
-    return folder / f"{planned.stem}.png"
-
-
-def _error_file(folder: Path, planned: PlannedFrame) -> Path:
-    return folder / f"{planned.stem}-error.tiff"
-
-
-def _view_file(folder: Path, planned: PlannedFrame) -> Path:
-    return folder / f"{planned.stem}.json"
+    colours = [f"-{colour}" for colour in COLOURS] if options.has_colours else [""]
+    return [planned.file(folder, f"{colour}.{options.maps}") for colour in colours if options.maps]
 
 
 def files_of(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
-    """All files of a frame."""
-    maps = map_files(folder, planned, options)
-    beside = [_view_file(folder, planned)] if maps else []
-    predicted = [_error_file(folder, planned)] if options.predicted_error else []
-    layers = [layers_file(folder, planned.stem)] if options.layers else []
-    labels = [labels_file(folder, planned.stem)] if "instance" in options.layers else []
-    return [*maps, *beside, *predicted, *layers, *labels, picture_file(folder, planned)]
+    """All files of a frame, the panel image last."""
+    is_written = {
+        _VIEW: options.maps,
+        _ERROR: options.predicted_error,
+        LAYERS_FILE: options.layers,
+        LABELS_FILE: "instance" in options.layers,
+        ".png": True,
+    }
+    others = [planned.file(folder, suffix) for suffix, wanted in is_written.items() if wanted]
+    return [*map_files(folder, planned, options), *others]
 
 
 @dataclass(frozen=True)
@@ -265,9 +256,9 @@ class FrameDrawing:
         for path, source in zip(map_files(folder, planned, options), sources, strict=True):
             write_map(path, source)
         if with_maps and frame.view is not None:
-            write_view(_view_file(folder, planned), frame.view)
+            write_view(planned.file(folder, _VIEW), frame.view)
         facts = planned.facts | {"blank": is_blank(frame.colour)} | self._label(folder, planned, frame)
-        write_png(picture_file(folder, planned), frame.colour)
+        write_png(planned.file(folder), frame.colour)
         return DrawnFrame(signatures_of(files_of(folder, planned, options)), facts)
 
     def _label(self, folder: Path, planned: PlannedFrame, frame: Frame) -> dict[str, Any]:
@@ -280,15 +271,15 @@ class FrameDrawing:
         layers, depth_m = self.options.layers, self.options.predicted_error
         if layers:
             channels = frame_layers(self._renderer, frame.ray_map, planned.world_from_device, layers)
-            write_layers(layers_file(folder, planned.stem), planned, channels, layers)
+            write_layers(planned.file(folder, LAYERS_FILE), planned, channels, layers)
             if "instance" in layers:
                 annotations = named_annotations(channels[INSTANCE], self.opened.scene)
-                write_labels(labels_file(folder, planned.stem), annotations)
+                write_labels(planned.file(folder, LABELS_FILE), annotations)
         if self.opened.truths:
             facts["misalignment"] = frame_misalignment(self.opened.truths[planned.eye], planned, frame)
         if depth_m is not None:
             error = self._error_maps[planned.eye].at(planned.viewpoint, depth_m)
-            write_map(_error_file(folder, planned), error.map_arcmin)
+            write_map(planned.file(folder, _ERROR), error.map_arcmin)
             facts["predicted_error"] = error.record
         return facts
 

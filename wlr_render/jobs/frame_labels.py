@@ -26,19 +26,11 @@ from wlr_render.scene.exr_file import write_exr
 from wlr_render.scene.scene import Scene
 
 INSTANCES = "instances.json"
+LAYERS_FILE, LABELS_FILE = ".exr", "-labels.json"
+"""Endings of the names of a frame's files."""
 _KIND = "the labels of a frame"
 _GRID = 60, 60
 """Pixels across and down whose misalignment is computed."""
-
-
-def layers_file(folder: Path, stem: str) -> Path:
-    """Path of the layers of a frame."""
-    return folder / f"{stem}.exr"
-
-
-def labels_file(folder: Path, stem: str) -> Path:
-    """Path of the labels of a frame."""
-    return folder / f"{stem}-labels.json"
 
 
 def write_layers(
@@ -169,7 +161,7 @@ def write_instances(folder: Path, scene: Scene, panels: Mapping[str, Panel], pla
     with written_whole(path) as temporary, disk_errors(path), temporary.open("w", encoding="utf-8") as file:
         file.write(json.dumps(head)[:-1] + ', "annotations": [')
         for number, planned in enumerate(plan, start=1):
-            for each in read_labels(labels_file(folder, planned.stem)):
+            for each in read_labels(planned.file(folder, LABELS_FILE)):
                 count += 1
                 numbers = {"id": count, "image_id": number, "category_id": category[each["instance_id"] - 1]}
                 file.write((",\n" if count > 1 else "\n") + json.dumps(numbers | each))

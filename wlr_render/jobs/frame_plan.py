@@ -1,8 +1,9 @@
 """The frames of `render`: when each is drawn, from which viewpoint and with which head pose."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import shown
 from wlr_render.jobs import limits
 from wlr_render.jobs.headset import require_in_eye_box
-from wlr_render.jobs.options import Eyes, eyes_of
+from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
@@ -23,23 +24,20 @@ LONGEST_GAP_S = 1.0
 """Between neighbouring samples of a trajectory; a longer one is a dropout, or a file in milliseconds."""
 
 
-class MotionOptions(Protocol):
-    """The options that decide when and from where frames are drawn, as `RenderOptions` describes them."""
+@dataclass(frozen=True)
+class Motion:
+    """Motion of the wearer over the frames; head and eyes rest without a trajectory."""
 
-    @property
-    def eye(self) -> Eyes: ...  # noqa: D102
+    head: HeadTrajectory | None
+    eyes: EyeTrajectory | None
+    frames_per_second: float
+    frame_limit: int | None = None
 
-    @property
-    def head(self) -> Path | None: ...  # noqa: D102
-
-    @property
-    def eye_track(self) -> Path | None: ...  # noqa: D102
-
-    @property
-    def frames_per_second(self) -> float: ...  # noqa: D102
-
-    @property
-    def frame_limit(self) -> int | None: ...  # noqa: D102
+    def sample_times(self, eyes: Collection[str]) -> list[tuple[str, FloatArray]]:
+        """Return file and sample times (n,) of the head, and of those eyes that are drawn."""
+        tracks = self.eyes.tracks.items() if self.eyes else ()
+        drawn = [(self.eyes.name, track.time_s) for eye, track in tracks if self.eyes and eye in eyes]
+        return [(self.head.name, self.head.time_s), *drawn] if self.head else drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +61,10 @@ class PlannedFrame:
         """Name of its files without the suffix."""
         return f"{self.eye}-{self.index:06d}"
 
+    def file(self, folder: Path, suffix: str = ".png") -> Path:
+        """Return the path of one of its files, by default of the panel image."""
+        return folder / f"{self.stem}{suffix}"
+
     @property
     def facts(self) -> dict[str, Any]:
         """Eye, time stamp, viewpoint and head pose, as JSON has them."""
@@ -76,22 +78,21 @@ class PlannedFrame:
         }
 
 
-def read_trajectories(options: MotionOptions) -> tuple[HeadTrajectory | None, EyeTrajectory | None]:
-    """Trajectories of head and eyes; None for each that is not given."""
+def motion_of(options: RenderOptions) -> Motion:
+    """Read the trajectories that the options name."""
     head = read_head_trajectory(options.head) if options.head else None
-    return head, read_eye_trajectory(options.eye_track) if options.eye_track else None
+    eyes = read_eye_trajectory(options.eye_track) if options.eye_track else None
+    return Motion(head, eyes, options.frames_per_second, options.frame_limit)
 
 
-def planned_frames(
-    options: MotionOptions, mappings: dict[str, Eye], head: HeadTrajectory | None, eyes: EyeTrajectory | None
-) -> list[PlannedFrame]:
+def planned_frames(motion: Motion, mappings: dict[str, Eye]) -> list[PlannedFrame]:
     """Return the time, viewpoint and head pose of each frame, in time order.
 
     Raises:
         BadInputError: trajectories that do not overlap in time, or an eye whose viewpoints are all outside the eye box.
     """
-    times = _times(options, head, eyes)
-    pupils = {eye: _pupils(options, mappings[eye], eyes, times) for eye in mappings}
+    times, head = _times(motion, mappings), motion.head
+    pupils = {eye: _pupils(motion.eyes, mappings[eye], times) for eye in mappings}
     head_gap_s = head.gaps_at(times).length_s if head else np.zeros(len(times))
     plan = []
     for index, time_s in enumerate(times):
@@ -103,9 +104,7 @@ def planned_frames(
     return plan
 
 
-def _pupils(
-    options: MotionOptions, mappings: Eye, eyes: EyeTrajectory | None, times: FloatArray
-) -> list[tuple[FloatArray, bool, float]]:
+def _pupils(eyes: EyeTrajectory | None, mappings: Eye, times: FloatArray) -> list[tuple[FloatArray, bool, float]]:
     """Viewpoint (3,) of each frame, whether it is held, and the length of the gap in which it lies, or 0.
 
     In a gap between samples, such as a blink, a pupil is held at the last sample. Outside the eye box it is held at its
@@ -118,7 +117,7 @@ def _pupils(
     tracked = [eyes.viewpoint_at(mappings.eye, time_s) for time_s in gaps.start_s]
     inside = [box.contains(place, margin=1e-6) for place in tracked]
     if not any(inside):
-        require_in_eye_box(mappings, tracked[0], f"{options.eye_track} at {times[0]:.4f} s, {mappings.eye} eye")
+        require_in_eye_box(mappings, tracked[0], f"{eyes.name} at {times[0]:.4f} s, {mappings.eye} eye")
     pupils: list[tuple[FloatArray, bool, float]] = []
     last: FloatArray | None = None
     for place, is_inside, gap_s in zip(tracked, inside, gaps.length_s, strict=True):
@@ -128,38 +127,30 @@ def _pupils(
     return pupils
 
 
-def _times(options: MotionOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> FloatArray:
-    spans = [(time_s[0], time_s[-1]) for _, time_s in _sample_times(options, head, eyes)]
+def _times(motion: Motion, eyes: Collection[str]) -> FloatArray:
+    samples = motion.sample_times(eyes)
+    spans = [(time_s[0], time_s[-1]) for _, time_s in samples]
     if not spans:
         return np.zeros(1)
     start, end = max(first for first, _ in spans), min(last for _, last in spans)
     if end < start:
-        files = " and ".join(str(path) for path in (options.head, options.eye_track) if path)
+        files = " and ".join(dict.fromkeys(file for file, _ in samples))
         raise BadInputError(f"The tracks of {files} do not overlap in time; record them together.")
-    count = (end - start) * options.frames_per_second + 1
-    if min(count, options.frame_limit or count) > limits.FRAMES:
+    count = (end - start) * motion.frames_per_second + 1
+    if min(count, motion.frame_limit or count) > limits.FRAMES:
         raise BadInputError(
-            f"--fps {options.frames_per_second:g} over {end - start:g} s are {count:.0f} frames; draw at most "
+            f"--fps {motion.frames_per_second:g} over {end - start:g} s are {count:.0f} frames; draw at most "
             f"{limits.FRAMES}: lower --fps, or give --frames."
         )
-    times = start + np.arange(min(int(count + 1e-9), limits.FRAMES)) / options.frames_per_second
+    times = start + np.arange(min(int(count + 1e-9), limits.FRAMES)) / motion.frames_per_second
     # Rounding must not carry the last frame beyond the tracks.
-    return np.asarray(np.minimum(times, end)[: options.frame_limit])
+    return np.asarray(np.minimum(times, end)[: motion.frame_limit])
 
 
-def _sample_times(
-    options: MotionOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None
-) -> list[tuple[Path | None, FloatArray]]:
-    """File and sample times (n,) of the head and of each eye that is drawn."""
-    tracks = eyes.tracks if eyes else {}
-    drawn = [(options.eye_track, track.time_s) for eye, track in tracks.items() if eye in eyes_of(options.eye)]
-    return [(options.head, head.time_s), *drawn] if head else drawn
-
-
-def gap_warnings(options: MotionOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> list[str]:
+def gap_warnings(motion: Motion, eyes: Collection[str]) -> list[str]:
     """Return a sentence for each file with a gap between samples longer than `LONGEST_GAP_S`."""
-    gaps: dict[Path | None, float] = {}
-    for file, time_s in _sample_times(options, head, eyes):
+    gaps: dict[str, float] = {}
+    for file, time_s in motion.sample_times(eyes):
         gaps[file] = max(gaps.get(file, 0.0), float(np.diff(time_s).max()))
     return [
         f"{file}: neighbouring samples are up to {gap:.3g} s apart; are the times in seconds?"
@@ -168,38 +159,38 @@ def gap_warnings(options: MotionOptions, head: HeadTrajectory | None, eyes: EyeT
     ]
 
 
-def column_warnings(*trajectories: HeadTrajectory | EyeTrajectory | None) -> list[str]:
+def column_warnings(motion: Motion) -> list[str]:
     """Return a sentence for each file with columns that are not read."""
     return [
         f"{each.name}: not read: {', '.join(map(shown, each.unread))}; docs/files.md has the columns that are."
-        for each in trajectories
+        for each in (motion.head, motion.eyes)
         if each is not None and each.unread
     ]
 
 
-def held_warnings(options: MotionOptions, plan: list[PlannedFrame]) -> list[str]:
+def held_warnings(motion: Motion, plan: list[PlannedFrame]) -> list[str]:
     """Return a sentence for each eye whose pupil was held in some frames, and one for gaps of the head."""
-    warnings = []
-    for eye in eyes_of(options.eye):
+    warnings, track = [], motion.eyes and motion.eyes.name
+    for eye in dict.fromkeys(planned.eye for planned in plan):
         own = [planned for planned in plan if planned.eye == eye]
         lost = [planned for planned in own if planned.eye_gap_s]
         outside = [planned for planned in own if planned.held and not planned.eye_gap_s]
         if lost:
             warnings.append(
-                f"{options.eye_track}: the {eye} pupil was not tracked in {_share(lost, own)}, in gaps of up to "
+                f"{track}: the {eye} pupil was not tracked in {_share(lost, own)}, in gaps of up to "
                 f"{max(planned.eye_gap_s for planned in lost):.3g} s; there it is held at the last sample ('held' in "
                 f"{METADATA})."
             )
         if outside:
             warnings.append(
-                f"{options.eye_track}: the {eye} pupil is outside the eye box in {_share(outside, own)}; there it is "
+                f"{track}: the {eye} pupil is outside the eye box in {_share(outside, own)}; there it is "
                 f"held at its last place inside ('held' in {METADATA})."
             )
     frames = list({planned.index: planned for planned in plan}.values())
     lost = [planned for planned in frames if planned.head_gap_s]
     if lost:
         warnings.append(
-            f"{options.head}: the head was not tracked in {_share(lost, frames)}, in gaps of up to "
+            f"{motion.head and motion.head.name}: the head was not tracked in {_share(lost, frames)}, in gaps of up to "
             f"{max(planned.head_gap_s for planned in lost):.3g} s; there its pose is interpolated."
         )
     return warnings

@@ -2,7 +2,7 @@
 
 import re
 import shlex
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -21,11 +21,9 @@ from wlr_render.optics.lens_files.headset_of_lens import HeadsetChoices, Importe
 from wlr_render.optics.lens_files.lens_file import read_lens_file
 from wlr_render.optics.lens_files.sequence import Ignored, LensFile
 from wlr_render.optics.surfaces import Shape
-from wlr_render.report.blocks import Cell, Report, ReportTable
-from wlr_render.report.save import save_report
+from wlr_render.report.blocks import Cell, Columns, Report, ReportTable, table
 from wlr_render.work.progress import SILENT
 
-_MM = 1e-3
 _MOST_NAMED = 8  # surfaces in one sentence
 _SIDE_MM = Range(at_least=0.1, at_most=200, unit="millimetres")
 _NUMBER = Range(at_least=0, at_most=1000)
@@ -112,7 +110,7 @@ def import_lens(options: ImportLensOptions, *, progress: ProgressArgument = SILE
     _require_readable(options, headset.device)
     folder = output_folder(options.out)
     written = save_device(headset.device, folder / f"{headset.device.name}.toml")
-    report = Report(
+    return Report(
         f"Import of {options.file.name}",
         f"{_not_the_lens(headset)}{len(headset.path)} surfaces of {program}'s {options.file.name} are the display "
         f"path of '{headset.device.name}': the pupil stands {headset.pupil_text}, the panel is surface "
@@ -129,28 +127,13 @@ def import_lens(options: ImportLensOptions, *, progress: ProgressArgument = SILE
         files=[written],
         record={"ignored": list(headset.ignored), "path": headset.path, "passed_over": headset.passed_over},
     )
-    return save_report(report, folder)
 
 
 def _choices(options: ImportLensOptions, program: str, lens: LensFile) -> HeadsetChoices:
     name = re.sub(r"[^\w.-]", "_", options.file.stem).lstrip("-.")[:60] or "lens"
     title = f": {lens.title}" if lens.title else ""
-    width, height = (_MM * side for side in options.panel_mm)
-    box, centre = (tuple(_MM * each for each in sides) for sides in (options.eye_box_mm, options.eye_centre_mm))
-    return HeadsetChoices(
-        name=name,
-        source=f"{program} file {options.file.name}{title}",
-        starts_at=options.starts_at,
-        pupil=options.pupil_surface,
-        eye_relief=None if options.eye_relief_mm is None else _MM * options.eye_relief_mm,
-        panel=options.panel_surface,
-        panel_size=(width, height),
-        pixels=options.panel,
-        eye_box_size=(box[0], box[1], box[2]),
-        eye_centre=(centre[0], centre[1], centre[2]),
-        side=options.eye,
-        use_semi_diameters=options.semi_diameters,
-    )
+    same = {each.name: getattr(options, each.name) for each in fields(HeadsetChoices) if hasattr(options, each.name)}
+    return HeadsetChoices(name=name, source=f"{program} file {options.file.name}{title}", **same)
 
 
 def _require_readable(options: ImportLensOptions, device: Device) -> None:
@@ -248,14 +231,13 @@ def _radius_text(curvature: float) -> str:
 
 
 def _ignored_table(headset: ImportedHeadset) -> list[ReportTable]:
-    if not headset.ignored:
-        return []
-    rows = [_ignored_row(note) for note in headset.ignored]
+    columns: Columns = {
+        "surface": lambda note: "all" if note.surface is None else str(note.surface),
+        "key": "key",
+        "value": "value",
+        "bends rays": lambda note: "yes" if note.bends_rays else "no",
+        "reason": "reason",
+    }
     notes = ("Keys of drawing, coating and tolerances, of fields and wavelengths, and Zemax's solves are not listed.",)
-    columns = ("surface", "key", "value", "bends rays", "reason")
-    return [ReportTable("Keys ignored, or read otherwise than the file states them", columns, rows, notes)]
-
-
-def _ignored_row(note: Ignored) -> list[Cell]:
-    surface = "all" if note.surface is None else str(note.surface)
-    return [surface, note.key, note.value, "yes" if note.bends_rays else "no", note.reason]
+    title = "Keys ignored, or read otherwise than the file states them"
+    return [table(title, headset.ignored, columns, notes)] if headset.ignored else []

@@ -5,9 +5,10 @@ import inspect
 from collections.abc import Callable
 from typing import ParamSpec
 
-from wlr_render.io.atomic_files import locked_folder
+from wlr_render.io.atomic_files import locked_folder, output_folder
 from wlr_render.io.kept import Kept
 from wlr_render.report.blocks import Report
+from wlr_render.report.save import save_report
 
 Arguments = ParamSpec("Arguments")
 
@@ -16,7 +17,7 @@ _LISTING = ("render", "export", "simulate", "pattern")
 
 
 def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
-    """Lock a job's output folder, `options.out`, against other jobs; a decorator.
+    """Lock a job's output folder, `options.out`, and write the job's report there; a decorator.
 
     Concurrent jobs in one folder would replace each other's files.
     """
@@ -30,6 +31,7 @@ def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
         with locked_folder(out, name):
             if name not in _LISTING:
                 Kept(out, {"job": name})  # refuses a folder whose files a ledger lists
-            return function(*args, **kwargs)
+            report = function(*args, **kwargs)
+            return save_report(report, output_folder(out), report.stem) if report.stem else report
 
     return run

@@ -4,16 +4,16 @@ The command line is generated from them, and they check themselves, so that a sc
 same values in the same words.
 """
 
+import contextlib
 import dataclasses
 import inspect
 import math
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Integral, Real
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token
 
@@ -22,8 +22,6 @@ from wlr_render.io.input_files import shown
 from wlr_render.io.kept import file_of
 from wlr_render.work.progress import Progress
 from wlr_render.work.workers import WorkerPool
-
-Length = TypeVar("Length", int, float)
 
 
 @dataclass(frozen=True)
@@ -112,8 +110,7 @@ class Options:
     def __post_init__(self) -> None:
         hints, annotated = (typing.get_type_hints(type(self), include_extras=extras) for extras in (False, True))
         for field in dataclasses.fields(self):
-            value = self._checked_type(field.name, hints[field.name])
-            object.__setattr__(self, field.name, value)
+            value = getattr(self, field.name)
             self._check_choice(field.name, value, hints[field.name])
             for note in _notes(annotated[field.name]):
                 if isinstance(note, Range):
@@ -136,13 +133,6 @@ class Options:
             else value
             for name, value in values.items()
         }
-
-    def _checked_type(self, name: str, hint: object) -> object:
-        try:
-            return _as_type(getattr(self, name), hint)
-        except TypeError as error:
-            value = shown(getattr(self, name))
-            raise BadInputError(f"{flag_of(type(self), name)} is {value}; it must be {error}.") from None
 
     def _check_product(self, at_most: int, what: str, *names: str) -> None:
         """Limit the number of things that several options multiply to.
@@ -196,46 +186,6 @@ def flag_of(options: type[Options], field: str) -> str:
         if isinstance(note, Parameter) and note.name:
             return str(next(iter(note.name)))
     return "--" + field.replace("_", "-")
-
-
-def _as_type(value: Any, hint: object) -> object:
-    """Convert a value to the type of an option; NumPy's numbers become Python's, text a path.
-
-    Raises:
-        TypeError: with the words for that type; True is not a number, although Python adds it.
-    """
-    kind, parts = typing.get_origin(hint), typing.get_args(hint)
-    if getattr(value, "shape", None) == ():  # a NumPy number
-        value = value.item()
-    if kind in (typing.Union, types.UnionType):
-        if value is None and type(None) in parts:
-            return None
-        (hint,) = (part for part in parts if part is not type(None))
-        return _as_type(value, hint)
-    if kind is tuple:
-        each = parts[:1] * len(value) if parts[1:] == (...,) and isinstance(value, Sequence) else parts
-        if isinstance(value, str | bytes) or not isinstance(value, Sequence) or len(value) != len(each):
-            raise TypeError("a tuple" if parts[1:] == (...,) else f"a tuple of {len(parts)}")
-        return tuple(_as_type(one, one_hint) for one, one_hint in zip(value, each, strict=True))
-    for plain, accepted, words in _PLAIN_TYPES:
-        if hint is plain:
-            if not isinstance(value, accepted) or (isinstance(value, bool) and plain is not bool):
-                raise TypeError(words)
-            if isinstance(value, str) and not value.strip():
-                raise TypeError(f"{words}, not empty")
-            return plain(value) if plain in (Path, str) else value
-    if isinstance(hint, type) and not isinstance(value, hint):
-        raise TypeError(f"{hint.__name__}")
-    return value
-
-
-_PLAIN_TYPES: tuple[tuple[type, Any, str], ...] = (
-    (bool, bool, "True or False"),
-    (int, Integral, "a whole number"),
-    (float, Real, "a number"),
-    (str, str | Path, "text"),
-    (Path, str | Path, "a path"),
-)
 
 
 def _with_range(hint: Any) -> Any:
@@ -324,28 +274,18 @@ Degree = Range(at_least=1, at_most=12)
 """Limits of polynomial degrees: more only costs time."""
 
 
-def _pixel_size(_: type, tokens: Sequence[Token]) -> tuple[int, ...]:
-    return _lengths(tokens[0], int, 2, "width and height in pixels, e.g. 1280x1024")
-
-
-def _size_in_mm(_: type, tokens: Sequence[Token]) -> tuple[float, ...]:
-    return _lengths(tokens[0], float, 2, "width and height in mm, e.g. 10.1x5.7")
-
-
-def _lengths(token: Token, kind: Callable[[str], Length], count: int, wanted: str) -> tuple[Length, ...]:
-    try:
-        lengths = tuple(kind(each) for each in token.value.lower().split("x"))
-    except ValueError:
-        lengths = ()
-    if len(lengths) != count:
-        raise BadInputError(f"'{token.value}' is not {wanted}.")
-    return lengths
-
-
 def described_size(text: str, *, optional: bool = False, in_mm: bool = False, group: Group | None = None) -> Parameter:
     """Help text of an option that is a size in pixels, e.g. 1920x1080, or in millimetres, e.g. 10.1x5.7."""
+    kind, wanted = (float, "mm, e.g. 10.1x5.7") if in_mm else (int, "pixels, e.g. 1280x1024")
+
+    def converted(_: type, tokens: Sequence[Token]) -> tuple[float, ...]:
+        with contextlib.suppress(ValueError):
+            width, height = map(kind, tokens[0].value.lower().split("x"))
+            return width, height
+        raise BadInputError(f"'{tokens[0].value}' is not width and height in {wanted}.")
+
     stated = Parameter(
-        converter=_size_in_mm if in_mm else _pixel_size,
+        converter=converted,
         n_tokens=1,
         accepts_keys=False,
         metavar="WxH",

@@ -17,7 +17,7 @@ from typing import Any
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import disk_errors, output_folder, write_bytes, written_whole
 from wlr_render.io.input_files import LIMITS, read_bytes
-from wlr_render.jobs.frame_labels import labels_file, layers_file, read_labels
+from wlr_render.jobs.frame_labels import LABELS_FILE, LAYERS_FILE, read_labels
 from wlr_render.jobs.frame_plan import METADATA
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.work.progress import Progress
@@ -98,8 +98,8 @@ def _samples(
         facts = {name: value for name, value in frame.items() if name != "file_name"}
         metadata = {"key": key, **facts, **sources}
         if "instance" in options.layers:
-            metadata["objects"] = read_labels(labels_file(folder, key))
-        layers = {"exr": layers_file(folder, key)} if options.layers else {}
+            metadata["objects"] = read_labels(folder / f"{key}{LABELS_FILE}")
+        layers = {"exr": folder / f"{key}{LAYERS_FILE}"} if options.layers else {}
         yield _Sample(key, metadata, layers | {"png": folder / frame["file_name"]})
 
 

@@ -24,7 +24,6 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.report.blocks import Block, Columns, Plot, Report, capitalised, table
 from wlr_render.report.plots import arrow_map
-from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT
 
 _MOST_MAPS = 8
@@ -65,7 +64,7 @@ def predict(options: PredictOptions, *, progress: ProgressArgument = SILENT) -> 
     progress.say("predicting the readings")
     with prefix_errors(options.session):
         found = predict_session(bench, session, own)
-    report = Report(
+    return Report(
         f"Prediction of {session.name} by {options.bench}",
         verdict=" ".join(_verdict(found, options.bench)),
         advice=[_advice(found, path, options.session, folder)],
@@ -74,7 +73,6 @@ def predict(options: PredictOptions, *, progress: ProgressArgument = SILENT) -> 
         inputs=[options.bench, options.session],
         record=found,
     )
-    return save_report(report, folder)
 
 
 def _bench_file(given: Path) -> Path:

@@ -8,9 +8,10 @@ drawn frames. Layers and labels of a frame are in `frame_labels.py`.
 import contextlib
 import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.io.kept import LEDGER, Facts, Kept, recipe_of
 from wlr_render.jobs.budget import source_table
-from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, files_of, map_files, open_raster, picture_file
+from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, files_of, map_files, open_raster
 from wlr_render.jobs.frame_labels import write_instances
 from wlr_render.jobs.frame_plan import (
     METADATA,
@@ -31,17 +32,16 @@ from wlr_render.jobs.frame_plan import (
     column_warnings,
     gap_warnings,
     held_warnings,
+    motion_of,
     planned_frames,
-    read_trajectories,
 )
 from wlr_render.jobs.headset import effect_warnings, headset_path
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.jobs.pack import pack_frames
 from wlr_render.jobs.render_options import RenderOptions
-from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable
+from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, table
 from wlr_render.report.plots import curves
-from wlr_render.report.save import save_report
 from wlr_render.scene.image_files import read_png, write_video
 from wlr_render.scene.scene_file import scene_path
 from wlr_render.work.progress import SILENT, Progress
@@ -67,8 +67,8 @@ def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Re
 
 def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | None, progress: Progress) -> Report:
     """Draw missing frames; `raster` is None if frames are ray traced."""
-    head, eyes = read_trajectories(options)
-    plan = planned_frames(options, opened.middle(), head, eyes)
+    motion = motion_of(options)
+    plan = planned_frames(motion, opened.middle())
     folder = output_folder(options.out)
     finished = _kept(folder, options, opened, raster, plan)
     missing = [planned for planned in plan if finished.unfinished(files_of(folder, planned, options))]
@@ -77,7 +77,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     finished.begin()
     for frame in progress(drawn, len(missing), "frames"):
         finished.add(frame.files, frame.facts)
-    pictures = [picture_file(folder, planned) for planned in plan]
+    pictures = [planned.file(folder) for planned in plan]
     rows = [{"file_name": path.name, **finished.facts(path)} for path in pictures]
     joined = [write_text(folder / METADATA, "".join(f"{json.dumps(row)}\n" for row in rows))]
     if "instance" in options.layers:
@@ -90,15 +90,15 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
         *opened.scene.warnings,
         *effect_warnings(options.headset),
         *(traced_instead(raster, options.backend) if options.method == "raster" else []),
-        *gap_warnings(options, head, eyes),
-        *column_warnings(head, eyes),
-        *held_warnings(options, plan),
+        *gap_warnings(motion, opened.channels),
+        *column_warnings(motion),
+        *held_warnings(motion, plan),
         *_redrawn_warnings(folder, changed),
         *blank_warnings([row["file_name"] for row in rows if row.get("blank")], opened.scene.name),
         *saturation_warnings(opened.scene, map(read_png, {each.eye: path for each, path in first}.values())),
     ]
     report = _report(options, plan, len(missing), rows, [folder / LEDGER, *joined, *videos, *packed])
-    return save_report(replace(report, warnings=warnings), folder)
+    return replace(report, warnings=warnings)
 
 
 def _kept(
@@ -115,7 +115,7 @@ def _kept(
     layers = [layer for layer in LAYERS if layer in options.layers]
     stated = options.recipe_values(opened.of_options(options)) | {"--method": method, "--layers": layers}
     planned: dict[Path, Facts] = {path: {} for each in plan for path in files_of(folder, each, options)}
-    planned |= {picture_file(folder, each): each.facts for each in plan}
+    planned |= {each.file(folder): each.facts for each in plan}
     later = _ERROR_BYTES * (options.predicted_error is not None) + _MISALIGNMENT_BYTES * bool(options.misalignment)
     finished = Kept(folder, recipe_of("render", stated, opened.inputs), planned, later_bytes=later)
     for path, facts in planned.items():
@@ -130,38 +130,42 @@ def _report(
     options: RenderOptions, plan: list[PlannedFrame], drawn: int, frames: Sequence[Facts], files: list[Path]
 ) -> Report:
     kept = len(plan) - drawn
-    predicted = [frame["predicted_error"] for frame in frames if options.predicted_error]
-    misaligned = [frame["misalignment"] for frame in frames if options.misalignment]
-    rows: list[list[Cell]] = []
-    blocks: list[Block] = []
-    for eye in eyes_of(options.eye):
-        own = [planned for planned in plan if planned.eye == eye]
-        largest = [
-            *_largest(_of_eye(predicted, plan, eye), ("rms_arcmin", "radius_arcmin")),
-            *_largest(_of_eye(misaligned, plan, eye), ("median_arcmin", "p95_arcmin", "max_arcmin")),
-        ]
-        rows.append([eye, len(own), own[0].time_s, own[-1].time_s, *largest])
-        first = picture_file(options.out, own[0])
-        blocks.append(Picture(f"First frame, {eye} eye", first, "The image on the panel, before the optics."))
-    columns = ["eye", "frames", "first time stamp (s)", "last time stamp (s)"]
-    notes = []
-    if predicted:
-        columns += ["predicted rms (arcmin)", "predicted 95 % (arcmin)"]
-        notes = [
+    eyes: dict[str, list[Facts]] = {
+        eye: [frame for frame in frames if frame["eye"] == eye] for eye in eyes_of(options.eye)
+    }
+    columns: dict[str, Callable[[Any], Cell]] = {
+        "frames": len,
+        "first time stamp (s)": lambda own: own[0]["time_s"],
+        "last time stamp (s)": lambda own: own[-1]["time_s"],
+    }
+    notes, blocks = list[str](), list[Block]()
+    if options.predicted_error:
+        columns |= {
+            "predicted rms (arcmin)": _largest("predicted_error", "rms_arcmin"),
+            "predicted 95 % (arcmin)": _largest("predicted_error", "radius_arcmin"),
+        }
+        notes.append(
             f"Predicted: registration error of points at {options.predicted_error:g} m over the field of view, in the "
             "frame where it is largest. EYE-NNNNNN-error.tiff has the map of each frame: rms to the right, upwards and "
             "in all, arcminutes."
-        ]
+        )
+        blocks += _source_tables(eyes)
     if options.misalignment is not None:
-        columns += ["median misalignment (arcmin)", "95 % misalignment (arcmin)", "max misalignment (arcmin)"]
+        columns |= {
+            f"{head} misalignment (arcmin)": _largest("misalignment", f"{key}_arcmin")
+            for head, key in (("median", "median"), ("95 %", "p95"), ("max", "max"))
+        }
         notes.append(
             "Misalignment: angle at the eye between the frame's content and the real points, through the exact optics "
             f"of {options.misalignment}, in the frame where each figure is largest."
         )
-        blocks = [*_misalignment_plot(plan, misaligned), *blocks]
-    blocks = [ReportTable("Frames by eye", columns, rows, notes), *_source_tables(predicted, plan), *blocks]
+        blocks += _misalignment_plot(eyes)
+    blocks = [table("Frames by eye", eyes.items(), columns, notes, name="eye"), *blocks]
+    for eye, own in eyes.items():
+        first = options.out / own[0]["file_name"]
+        blocks.append(Picture(f"First frame, {eye} eye", first, "The image on the panel, before the optics."))
     truth = [headset_path(options.misalignment)] if options.misalignment else []
-    by_frame = [{"file": f"{planned.stem}.png", **each} for planned, each in zip(plan, predicted, strict=False)]
+    by_frame = [{"file": each["file_name"], **each["predicted_error"]} for each in frames if options.predicted_error]
     count = "1 frame" if drawn == 1 else f"{drawn} frames"
     return Report(
         f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
@@ -173,15 +177,13 @@ def _report(
     )
 
 
-def _source_tables(predicted: Sequence[Facts], plan: list[PlannedFrame]) -> list[ReportTable]:
+def _source_tables(eyes: Mapping[str, Sequence[Facts]]) -> list[ReportTable]:
     """Return a table of the predicted errors by source, over all frames of each eye; none without predicted errors."""
-    found = {}
-    for eye in dict.fromkeys(planned.eye for planned in plan):
-        own = [each for each in _of_eye(predicted, plan, eye) if each["rms_arcmin"] is not None]
-        if own:
-            found[eye] = _over_frames(own)
+    found = {eye: [each["predicted_error"] for each in own] for eye, own in eyes.items()}
+    known = {eye: [each for each in own if each["rms_arcmin"] is not None] for eye, own in found.items()}
+    over_frames = {eye: _over_frames(own) for eye, own in known.items() if own}
     notes = [f"Predicted registration error, rms over all frames of an eye; {METADATA} has each frame's."]
-    return [source_table("Predicted error by source", found, "eye", notes)] if found else []
+    return [source_table("Predicted error by source", over_frames, "eye", notes)] if over_frames else []
 
 
 def _over_frames(frames: Sequence[Facts]) -> Facts:
@@ -195,26 +197,20 @@ def _over_frames(frames: Sequence[Facts]) -> Facts:
     return {"rms_arcmin": whole, "sources": [{"name": name, "rms_arcmin": each**0.5} for name, each in largest_first]}
 
 
-def _of_eye(labels: Sequence[Facts], plan: list[PlannedFrame], eye: str) -> list[Facts]:
-    """Facts of the frames of an eye; none where no frame has any."""
-    return [each for each, planned in zip(labels, plan, strict=False) if planned.eye == eye]
+def _largest(kind: str, name: str) -> Callable[[Sequence[Facts]], Cell]:
+    """Return a column of the largest value over the frames that have one."""
+    return lambda own: max((each[kind][name] for each in own if each[kind][name] is not None), default=None)
 
 
-def _largest(labels: Sequence[Facts], names: Sequence[str]) -> list[Cell]:
-    """Largest values over the frames that have one; none without labels."""
-    return [max((each[name] for each in labels if each[name] is not None), default=None) for name in names if labels]
-
-
-def _misalignment_plot(plan: list[PlannedFrame], misaligned: Sequence[Facts]) -> list[Plot]:
+def _misalignment_plot(eyes: Mapping[str, Sequence[Facts]]) -> list[Plot]:
     """Misalignment over time, if there are several frames."""
     lines = {}
-    for eye in dict.fromkeys(planned.eye for planned in plan):
-        own = [(planned.time_s, each) for planned, each in zip(plan, misaligned, strict=True) if planned.eye == eye]
-        own = own[:: max(1, len(own) // _MOST_PLOTTED)]
+    for eye, own in eyes.items():
+        plotted = own[:: max(1, len(own) // _MOST_PLOTTED)]
         for name, key in (("median", "median_arcmin"), ("95 %", "p95_arcmin")):
-            shown = [np.nan if each[key] is None else each[key] for _, each in own]
-            lines[f"{eye} eye, {name}"] = [time_s for time_s, _ in own], shown
-    if len(plan) == len(lines) // 2:
+            shown = [np.nan if (value := each["misalignment"][key]) is None else value for each in plotted]
+            lines[f"{eye} eye, {name}"] = [each["time_s"] for each in plotted], shown
+    if all(len(own) == 1 for own in eyes.values()):
         return []
     return [curves("Misalignment of the frames", lines, ("time (s)", "misalignment (arcmin)"), grouped=True)]
 
@@ -235,7 +231,7 @@ def _drawn_from(options: RenderOptions) -> list[Path]:
 def _redrawn_warnings(folder: Path, changed: list[PlannedFrame]) -> list[str]:
     if not changed:
         return []
-    names = [picture_file(folder, planned).name for planned in changed]
+    names = [planned.file(folder).name for planned in changed]
     more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
     return [
         f"{folder}: frames had changed since they were drawn, and were drawn again: "
@@ -245,7 +241,7 @@ def _redrawn_warnings(folder: Path, changed: list[PlannedFrame]) -> list[str]:
 
 def _videos(folder: Path, plan: list[PlannedFrame], options: RenderOptions) -> list[Path]:
     """Write a video of each eye, and one of both side by side."""
-    pictures = {eye: [picture_file(folder, each) for each in plan if each.eye == eye] for eye in eyes_of(options.eye)}
+    pictures = {eye: [each.file(folder) for each in plan if each.eye == eye] for eye in eyes_of(options.eye)}
     rate = options.frames_per_second
     videos = [write_video(folder / f"{eye}.mp4", map(read_png, own), rate) for eye, own in pictures.items()]
     if options.eye == "both":

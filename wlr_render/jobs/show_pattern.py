@@ -123,7 +123,7 @@ def pattern(options: PatternOptions, *, progress: ProgressArgument = SILENT) -> 
     pictures = write_show_page(output_folder(options.out), code, options.channel)
     page = options.out / PAGE
     advice = [f"Open {page} on the panel's screen to show them."]
-    return Report("Pattern", f"{len(pictures)} pictures of the code {options.pattern}.", advice, files=[page])
+    return Report("Pattern", f"{len(pictures)} pictures of the code {options.pattern}.", advice, files=[page], stem="")
 
 
 def _photographed(options: PatternOptions, command: str, progress: Progress) -> Report:
@@ -155,6 +155,7 @@ def _photographed(options: PatternOptions, command: str, progress: Progress) -> 
         f"{len(missing)} photographs taken, {len(paths) - len(missing)} kept from an earlier run: {folder}",
         ["List the folder in session.toml as [[display]] with its stage reading."],
         retaken_warnings(changed),
+        stem="",
     )
 
 

@@ -208,6 +208,7 @@ def simulate(options: SimulateOptions, *, progress: ProgressArgument = SILENT) -
         verdict=f"{made.taken} photographs taken, {made.kept} kept from an earlier run: {options.out}",
         advice=[f"Calibrate with: wlr-render calibrate {options.out}"],
         warnings=[*too_small, *retaken_warnings(made.changed)],
+        stem="",
     )
 
 

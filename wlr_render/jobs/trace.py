@@ -3,7 +3,7 @@
 import math
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from wlr_render.optics.first_order import FirstOrder, first_order
 from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM
 from wlr_render.optics.ray_losses import SurfaceLosses, curvature_changes, display_losses, helpful_changes, on_panel
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, Section, cell_text
-from wlr_render.report.save import save_report
+from wlr_render.report.blocks import Block, Cell, Columns, Picture, Report, ReportTable, Section, cell_text, table
 from wlr_render.work.progress import SILENT
 
 MIN_PANEL_SHARE = 0.5
@@ -61,34 +60,19 @@ def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Repo
     folder = output_folder(options.out)
     traced = [_trace_eye(options.device, device, eye, folder) for eye in progress(eyes, len(eyes), "eyes")]
     blocks = [block for each in traced for block in each.blocks]
-    report = Report(
+    return Report(
         f"Optics of {device.name}",
         " ".join(each.verdict for each in traced),
         warnings=[warning for each in traced for warning in each.warnings],
         blocks=blocks,
         inputs=[device_path(options.device)],
         files=[block.path for block in blocks if isinstance(block, Picture)],
-        record={
-            each.eye: {"figures": each.figures, "losses": list(each.losses), "imaging": each.imaging} for each in traced
-        },
+        record={eye: record for each in traced for eye, record in each.record.items()},
     )
-    return save_report(report, folder)
 
 
-@dataclass(frozen=True)
-class _TracedEye:
-    """The part of a report on one eye."""
-
-    eye: str
-    verdict: str
-    warnings: list[str]
-    blocks: list[Block]
-    figures: DeviceFigures | None
-    losses: tuple[SurfaceLosses, ...]
-    imaging: FirstOrder | None
-
-
-def _trace_eye(spec: str, device: Device, eye: EyeName, folder: Path) -> _TracedEye:
+def _trace_eye(spec: str, device: Device, eye: EyeName, folder: Path) -> Report:
+    """Return the part of the report on one eye."""
     optics, middle_um = device.eyes[eye], FRAUNHOFER_F_D_C_UM[1]
     losses = display_losses(optics, middle_um)
     drawing = folder / f"{device.name}-{eye}.png"
@@ -100,7 +84,8 @@ def _trace_eye(spec: str, device: Device, eye: EyeName, folder: Path) -> _Traced
             f"{device.name}, {eye} eye: nothing bends the rays yet, for display_path is empty, and the panel does not "
             "stand straight ahead: see the drawing."
         )
-        return _TracedEye(eye, verdict, [], [*blocks, picture], None, losses, None)
+        record: dict[str, Any] = {"figures": None, "losses": list(losses), "imaging": None}
+        return Report("", verdict, blocks=[*blocks, picture], record={eye: record})
     imaging = first_order(optics, middle_um)
     warnings = loss_warnings(optics, eye, losses) + imaging_warnings(optics, eye, imaging)
     warnings += orientation_warnings(eye, imaging)
@@ -119,7 +104,8 @@ def _trace_eye(spec: str, device: Device, eye: EyeName, folder: Path) -> _Traced
     if imaging is not None:
         blocks.append(_imaging_table(imaging))
     blocks += [_losses_table(optics, losses), picture]
-    return _TracedEye(eye, verdict, warnings, blocks, figures, losses, imaging)
+    record = {"figures": figures, "losses": list(losses), "imaging": imaging}
+    return Report("", verdict, warnings=warnings, blocks=blocks, record={eye: record})
 
 
 def _figures(spec: str, device: Device, eye: EyeName) -> tuple[DeviceFigures, list[Block]]:
@@ -154,7 +140,7 @@ def _summary(name: str, eye: str, figures: DeviceFigures, imaging: FirstOrder | 
         field = f"{cell_text(round(width, 0))} x {cell_text(round(height, 0))} degrees"
     else:
         field = "panel not seen straight ahead"
-    image = "" if imaging is None else f"virtual image {image_place(imaging)}, picture {_appearance(imaging).short}, "
+    image = "" if imaging is None else f"virtual image {image_place(imaging)}, picture {_appearance(imaging)[0]}, "
     return (
         f"{name}, {eye} eye: {field}, {figures.pixel_arcmin:.2g}' per pixel, {image}real world deviated by "
         f"{cell_text(figures.deviation_far.mean)}' on average."
@@ -181,62 +167,54 @@ def _place_of(vergence: float) -> str:
     return f"{-1.0 / vergence:.2g} m behind the eye {dioptres}"
 
 
-@dataclass(frozen=True)
-class _Appearance:
-    """Appearance of the panel's picture to the wearer.
-
-    Attributes:
-        short: description in two words.
-        sentence: directions in which u and v grow, and the consequence; without a full stop.
-        remedy: change of the device file if the panel is mounted otherwise; empty for an upright picture.
-    """
-
-    short: str
-    sentence: str
-    remedy: str
-
-
-def _appearance(imaging: FirstOrder) -> _Appearance:
-    """Describe the appearance of the picture from the directions of u and v at the middle of the field."""
-    (u_right, u_up), (v_right, v_up) = imaging.u_direction, imaging.v_direction
-    if abs(u_right) + abs(v_up) < abs(u_up) + abs(v_right):
-        u, v = "upwards" if u_up > 0 else "downwards", "right" if v_right > 0 else "left"
-        short = "turned by 90 degrees" + (" and mirrored" if u_right * v_up > u_up * v_right else "")
-        remedy = "choose u_axis to the wearer's right and v_axis downwards, and size_mm and pixels with them"
-        return _Appearance(short, f"u runs {u} in the view, v to the wearer's {v}: a picture appears {short}", remedy)
-    if u_right > 0 and v_up < 0:
-        return _Appearance("upright", "u runs to the wearer's right, v downwards: the picture is upright", "")
-    if u_right > 0:
-        return _Appearance(
-            "bottom up", "v runs upwards in the view: rows of a picture appear bottom up", "reverse v_axis"
-        )
-    if v_up < 0:
-        return _Appearance("mirrored", "u runs to the wearer's left: a picture appears mirrored", "reverse u_axis")
-    return _Appearance(
+_APPEARANCES = {
+    (True, False): ("upright", "u runs to the wearer's right, v downwards: the picture is upright", ""),
+    (True, True): ("bottom up", "v runs upwards in the view: rows of a picture appear bottom up", "reverse v_axis"),
+    (False, False): ("mirrored", "u runs to the wearer's left: a picture appears mirrored", "reverse u_axis"),
+    (False, True): (
         "turned by 180 degrees",
         "u runs to the wearer's left and v upwards: a picture appears turned by 180 degrees",
         "reverse u_axis and v_axis",
-    )
+    ),
+}
+"""Appearance of the panel's picture by whether u runs right and v up: see `_appearance`."""
+
+
+def _appearance(imaging: FirstOrder) -> tuple[str, str, str]:
+    """Describe the appearance of the picture from the directions of u and v at the middle of the field.
+
+    Returns:
+        Two words, a sentence without a full stop, and the change of the device file if the panel is mounted otherwise
+        (empty for an upright picture).
+    """
+    (u_right, u_up), (v_right, v_up) = imaging.u_direction, imaging.v_direction
+    if abs(u_right) + abs(v_up) >= abs(u_up) + abs(v_right):
+        return _APPEARANCES[u_right > 0, v_up >= 0]
+    u, v = "upwards" if u_up > 0 else "downwards", "right" if v_right > 0 else "left"
+    short = "turned by 90 degrees" + (" and mirrored" if u_right * v_up > u_up * v_right else "")
+    remedy = "choose u_axis to the wearer's right and v_axis downwards, and size_mm and pixels with them"
+    return short, f"u runs {u} in the view, v to the wearer's {v}: a picture appears {short}", remedy
 
 
 def orientation_warnings(eye: EyeName, imaging: FirstOrder | None) -> list[str]:
     """Warn of a picture that is not upright, which is right for some devices and a mistake in others."""
-    if imaging is None or not (appearance := _appearance(imaging)).remedy:
-        return []
-    return [
-        f"{eye.capitalize()} eye: {appearance.sentence}. Rendering allows for it; if the panel is not mounted so, "
-        f"{appearance.remedy}."
-    ]
+    _, sentence, remedy = ("", "", "") if imaging is None else _appearance(imaging)
+    mounted = "Rendering allows for it; if the panel is not mounted so"
+    return [f"{eye.capitalize()} eye: {sentence}. {mounted}, {remedy}."] if remedy else []
 
 
 def _losses_table(optics: EyeOptics, losses: tuple[SurfaceLosses, ...]) -> ReportTable:
     """Tabulate the number of rays that reach each surface of the display path."""
     over = "the nominal field" if optics.field else "22 degrees to each side of straight ahead; no field_deg is stated"
-    rows: list[list[Cell]] = [
-        [each.name, each.interaction, each.reached, each.passed, each.sentence() or None] for each in losses
-    ]
+    columns: Columns = {
+        "surface": "name",
+        "does": "interaction",
+        "reached by": "reached",
+        "go on": "passed",
+        "lost": lambda each: each.sentence() or None,
+    }
     notes = (f"{losses[0].reached} rays from the middle of the eye box over {over}; the panel comes last.",)
-    return ReportTable("Rays along the display path", ("surface", "does", "reached by", "go on", "lost"), rows, notes)
+    return table("Rays along the display path", losses, columns, notes)
 
 
 def _imaging_table(imaging: FirstOrder) -> ReportTable:
@@ -256,7 +234,7 @@ def _imaging_table(imaging: FirstOrder) -> ReportTable:
         "At the middle of the field that is seen. Focal length: distance on the panel for a tangent of 1. Distortion: "
         "departure from that scale, over the distance of the farthest ray from the middle. An image farther than a "
         "kilometre has no distance.",
-        f"Orientation: {_appearance(imaging).sentence}.",
+        f"Orientation: {_appearance(imaging)[1]}.",
     )
     return ReportTable("Imaging of the panel", ("figure", "along x", "along y"), rows, notes)
 

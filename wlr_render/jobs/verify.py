@@ -20,7 +20,6 @@ from wlr_render.io.atomic_files import output_folder, write_figure
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import EyeName, Options, ProgressArgument, described
 from wlr_render.report.blocks import Cell, Columns, Picture, Report, ReportTable, cell_text, table
-from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT
 
 NOTES = (
@@ -90,7 +89,7 @@ def verify(options: VerifyOptions, *, progress: ProgressArgument = SILENT) -> Re
     folder, name = output_folder(options.out), options.photographs.name
     overall = misalignment_table(judged, f"Misalignment from photographs, {name}", {"method": by_method}, NOTES)
     pictures = misalignment_pictures(judged, folder)
-    report = Report(
+    return Report(
         f"Verification of {name}",
         verdict=verdict(judged),
         warnings=complaints(judged),
@@ -99,7 +98,6 @@ def verify(options: VerifyOptions, *, progress: ProgressArgument = SILENT) -> Re
         files=[picture.path for picture in pictures],
         record=options,
     )
-    return save_report(report, folder)
 
 
 def _judge_pairs(folder: Path, board_file: Path, station: Path) -> list[JudgedPair]:

@@ -25,7 +25,6 @@ from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.newton import Root
 from wlr_render.numerics.polynomial import Polynomial
-from wlr_render.numerics.regressor import Regressor
 
 _LEVELS = [13, 13, 9, 9]  # grid of u, v, x and y over which the contraction is taken, from edge to edge
 
@@ -48,7 +47,7 @@ class DisplayModel(FittedDisplay):
     panel: Panel
     eye_box: EyeBox
     place: ModelPlace
-    forward: Regressor
+    forward: Polynomial
     backward_start: Polynomial
     spread: Covariance | None = None
 

@@ -15,7 +15,7 @@ from wlr_render.geometry.directions import ARCMIN, dir_by_tangents, dir_of_tange
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, Panel, QueryResult, Status
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.numerics.regressor import Regressor
+from wlr_render.numerics.polynomial import Polynomial
 
 _CHUNK = 65_536  # elements per block: a whole panel must not hold all its basis terms and Jacobians at once
 
@@ -135,7 +135,7 @@ def joined(*columns: FloatArray) -> FloatArray:
 
 
 class FittedModel(ABC):
-    """Base of models made of regressors; a subclass is a frozen dataclass and implements the formulas.
+    """Base of models made of polynomials; a subclass is a frozen dataclass and implements the formulas.
 
     Attributes:
         MODELLED: name of the attribute `modelled`.
@@ -148,9 +148,9 @@ class FittedModel(ABC):
     spread: Covariance | None = None
 
     @property
-    def modelled(self) -> Regressor:
-        """The regressor that is the model; others start solves."""
-        modelled: Regressor = getattr(self, self.MODELLED)
+    def modelled(self) -> Polynomial:
+        """The polynomial that is the model; others start solves."""
+        modelled: Polynomial = getattr(self, self.MODELLED)
         return modelled
 
     def contraction(self) -> float:

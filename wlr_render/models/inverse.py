@@ -4,14 +4,11 @@ The forward polynomials are the model. A backward query is their inverse, found 
 backward agree to the tolerance of the solve. Only its start is fitted or sampled.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.newton import Residual, Root, solve_2x2
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
-from wlr_render.numerics.regressor import Regressor
 
 TOLERANCE = 1e-12
 """Tolerance of the residual: metres for a point in the base plane, tangents otherwise."""
@@ -38,43 +35,7 @@ def solve_warm_then_cold(residual: Residual, start: FloatArray | None, cold: Flo
     return Root(unknown, converged, warm.iterations + again.iterations)
 
 
-@dataclass(frozen=True)
-class Deviation:
-    """A see-through model at m pairs of viewpoint and view tangents t.
-
-    Attributes:
-        value: (m, 4) A, then B: the world ray has tangents t + A and is offset by B from the straight ray at `depth`.
-        by_tangents: (m, 4, 2) the total derivative of `value` by t at a fixed viewpoint.
-        depth: (m,) depth s in front of the viewpoint at which B is defined, metres.
-        depth_by_tangents: (m, 2).
-    """
-
-    value: FloatArray
-    by_tangents: FloatArray
-    depth: FloatArray
-    depth_by_tangents: FloatArray
-
-    def seen_at(self, inverse_depth: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the apparent displacement of a point, tangents (m, 2), and its derivative by t, (m, 2, 2).
-
-        Args:
-            inverse_depth: (m,) inverse depth of the point in front of the viewpoint, 1/m; zero is infinity.
-        """
-        near = inverse_depth[:, None]
-        far = 1.0 - self.depth[:, None] * near  # share of the point's depth behind B
-        value = far * self.value[:, :2] + near * self.value[:, 2:]
-        by_depth = self.value[:, :2, None] * self.depth_by_tangents[:, None, :]
-        slope = far[..., None] * self.by_tangents[:, :2] + near[..., None] * (self.by_tangents[:, 2:] - by_depth)
-        return value, slope
-
-    def view_by_value(self, inverse_depth: FloatArray) -> FloatArray:
-        """Return the derivative (m, 2, 4) of the view tangents of points at `inverse_depth` (m,) by (A, B)."""
-        near = inverse_depth[:, None, None]
-        by_value = np.concatenate([(1.0 - self.depth[:, None, None] * near) * np.eye(2), near * np.eye(2)], axis=-1)
-        return np.asarray(-np.linalg.solve(np.eye(2) + self.seen_at(inverse_depth)[1], by_value))
-
-
-def backward_start_of(forward: Regressor) -> Polynomial:
+def backward_start_of(forward: Polynomial) -> Polynomial:
     """Fit a low-degree polynomial (place, tx, ty) -> (u, v) near the inverse of a display's (u, v, place) -> (tx, ty).
 
     The fit is least squares on a grid over the box of `forward`. Backward queries only start from it.

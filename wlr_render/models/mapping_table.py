@@ -75,22 +75,21 @@ def mapping_record(mapping: object) -> dict[str, Any]:
     """Return the JSON object of a mapping, which `read_display` or `read_see_through` reads.
 
     Raises:
-        BadInputError: the mapping is not of a kind that is written, or not made of polynomials.
+        BadInputError: the mapping is not of a kind that is written.
     """
     if not isinstance(mapping, PointPerPixelDisplay | DisplayModel | SeeThroughModel):
         kinds = ", ".join([*_PLACES, _POINTS])
         raise BadInputError(f"a {type(mapping).__name__} cannot be written to a model file; only {kinds} can.")
     record = {"kind": mapping_kind(mapping)} | {name: _record(part) for name, part in _parts(mapping).items()}
     if mapping.spread is not None:
-        assert isinstance(mapping.modelled, Polynomial)
         record["spread"] = _spread_record(mapping.spread, mapping.modelled)
     return record
 
 
-def _parts(mapping: PointPerPixelDisplay | DisplayModel | SeeThroughModel) -> dict[str, object]:
+def _parts(mapping: PointPerPixelDisplay | DisplayModel | SeeThroughModel) -> dict[str, Panel | BasePlane | Polynomial]:
     if isinstance(mapping, PointPerPixelDisplay):
         return {"panel": mapping.panel, "point": mapping.point}
-    plane = {"base_plane": mapping.place} if isinstance(mapping.place, BasePlane) else {}
+    plane: dict[str, Any] = {"base_plane": mapping.place} if isinstance(mapping.place, BasePlane) else {}
     if isinstance(mapping, SeeThroughModel):
         return plane | {"deviation" if plane else "forward": mapping.deviation}
     return {"panel": mapping.panel, **plane, "forward": mapping.forward, "backward_start": mapping.backward_start}
@@ -116,11 +115,9 @@ def _factors_record(factors: Polynomial, polynomial: Polynomial) -> dict[str, An
     return orders | {"unit": unit, "values": np.rint(factors.coefficients / unit).astype(np.int64).tolist()}
 
 
-def _record(part: object) -> dict[str, Any]:
+def _record(part: Panel | BasePlane | Polynomial) -> dict[str, Any]:
     if isinstance(part, Panel | BasePlane):
         return record_keys(part)
-    if not isinstance(part, Polynomial):
-        raise BadInputError("only models made of polynomials can be written to a model file; this one is not.")
     orders, values = part.orders.tolist(), part.coefficients.tolist()
     return {
         "low": part.box.low.tolist(),

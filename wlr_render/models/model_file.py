@@ -38,7 +38,6 @@ from wlr_render.models.absent import ABSENT_DISPLAY, ABSENT_SEE_THROUGH, Absent
 from wlr_render.models.fitted_model import FittedModel
 from wlr_render.models.mapping_table import mapping_kind, mapping_record, read_display, read_see_through
 from wlr_render.models.plausible import plausible_eye_box
-from wlr_render.numerics.polynomial import Polynomial
 
 FORMAT = "wlr-eye-model"
 VERSION = 3
@@ -75,8 +74,7 @@ class EyeModel:
         kind = mapping_kind(mapping)
         if kind is None or not isinstance(mapping, FittedModel):
             return ["not calibrated", "-", "-", "-", "-"]
-        modelled, report = mapping.modelled, self.report.get(name)
-        terms = str(len(modelled.orders)) if isinstance(modelled, Polynomial) else "-"
+        terms, report = str(len(mapping.modelled.orders)), self.report.get(name)
         values = [report.get(key) if isinstance(report, Mapping) else None for key in _SHOWN]
         return [kind, terms, *(f"{each:.3g}" if isinstance(each, int | float) else "-" for each in values)]
 

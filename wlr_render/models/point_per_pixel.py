@@ -12,12 +12,10 @@ import numpy as np
 
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.fitted_model import Answer, FittedDisplay, Sensitivity
+from wlr_render.models.inverse import solve_warm_then_cold
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.newton import solve_2x2
-from wlr_render.numerics.regressor import Regressor
-
-_TOLERANCE = 1e-12  # tangents
+from wlr_render.numerics.polynomial import Polynomial
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class PointPerPixelDisplay(FittedDisplay):
 
     panel: Panel
     eye_box: EyeBox
-    point: Regressor
+    point: Polynomial
     spread: Covariance | None = None
 
     MODELLED: ClassVar[str] = "point"
@@ -56,8 +54,7 @@ class PointPerPixelDisplay(FittedDisplay):
             return miss, jacobian[:, :2] - crossing[index, :, None] * jacobian[:, 2:]
 
         cold = np.where(np.isfinite(tangents), 0.5 * self.panel.size_px, np.nan)
-        first = cold if start is None else np.where(np.isfinite(start), start, cold)
-        root = solve_2x2(residual, first, _TOLERANCE)
+        root = solve_warm_then_cold(residual, start, cold)
         return Answer(root.unknown, self.point.box.contains(root.unknown), root.converged, root.unknown)
 
     def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:

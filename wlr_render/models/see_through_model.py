@@ -21,13 +21,12 @@ from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox
 from wlr_render.models.contraction import NEAREST_POINT_M, grid_over, largest_norm, viewpoints_of
 from wlr_render.models.fitted_model import Answer, FittedSeeThrough, Sensitivity, joined
-from wlr_render.models.inverse import Deviation, solve_warm_then_cold
+from wlr_render.models.inverse import solve_warm_then_cold
 from wlr_render.models.model_place import NOWHERE, ModelPlace
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.newton import Root
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
-from wlr_render.numerics.regressor import Regressor
 
 _LEVELS = [3, 3, 5, 13, 13]  # grid of viewpoints and tangents over which the contraction is taken, from edge to edge
 
@@ -47,7 +46,7 @@ class SeeThroughModel(FittedSeeThrough):
 
     eye_box: EyeBox
     place: ModelPlace
-    deviation: Regressor
+    deviation: Polynomial
     spread: Covariance | None = None
 
     MODELLED: ClassVar[str] = "deviation"
@@ -62,35 +61,46 @@ class SeeThroughModel(FittedSeeThrough):
         both = Box(np.append(viewpoints.low, directions.low), np.append(viewpoints.high, directions.high))
         viewpoint, tangents = np.hsplit(grid_over(both, _LEVELS), [3])
         inside = self.deviation.box.contains(self._inputs(tangents, viewpoint))
-        deviation = self._deviation_at(tangents[inside], viewpoint[inside])
-        ends = (np.full(len(deviation.depth), inverse) for inverse in (0.0, 1.0 / NEAREST_POINT_M))
-        return max(largest_norm(deviation.seen_at(inverse)[1]) for inverse in ends)
+        ends = (np.full(np.count_nonzero(inside), inverse) for inverse in (0.0, 1.0 / NEAREST_POINT_M))
+        return max(largest_norm(self.displacement_at(tangents[inside], viewpoint[inside], end)[1]) for end in ends)
 
     def solve_tangents(self, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Root:
         """Solve for the view tangents whose world rays pass through real points (n, 3) in front of viewpoints (n, 3).
 
-        The residual is the ray's lateral miss over the depth D of the point in front of the eye:
-        t - straight + (1 - s / D) A + B / D, with s the depth at which B is defined. `start` are earlier solutions
-        (n, 2); a cold start is the straight line.
+        The residual is the ray's lateral miss over the depth of the point in front of the eye: t - straight +
+        displacement. `start` are earlier solutions (n, 2); a cold start is the straight line.
         """
         inverse_depth = 1.0 / (viewpoint[:, 2] - point[:, 2])
         straight = (point[:, :2] - viewpoint[:, :2]) * inverse_depth[:, None]
 
         def residual(tangents: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
-            bent, slope = self._deviation_at(tangents, viewpoint[index]).seen_at(inverse_depth[index])
+            bent, slope = self.displacement_at(tangents, viewpoint[index], inverse_depth[index])
             return tangents - straight[index] + bent, np.eye(2) + slope
 
         return solve_warm_then_cold(residual, start, straight, self.deviation.rounding)
 
-    def _inputs(self, tangents: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        return joined(self.place.carry(viewpoint, tangents), tangents)
+    def displacement_at(
+        self, tangents: FloatArray, viewpoint: FloatArray, inverse_depth: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the apparent displacement of points at inverse depths (m,) in front of viewpoints (m, 3), 1/m.
 
-    def _deviation_at(self, tangents: FloatArray, viewpoint: FloatArray) -> Deviation:
-        """Return the deviation at view tangents (m, 2) of viewpoints (m, 3); the place moves with the tangents."""
+        With s the depth at which B is defined and w the inverse depth, zero at infinity, it is (1 - s w) A + w B.
+
+        Returns:
+            The displacement (m, 2) at view tangents (m, 2), and its total derivative (m, 2, 2) by them: the place moves
+            with the tangents.
+        """
         depth, places = self.place.depth_along(viewpoint, tangents), self.place.coordinates
         value, jacobian = self.deviation.with_jacobian(self._inputs(tangents, viewpoint))
         by_tangents = jacobian[..., places:] + jacobian[..., :places] @ self.place.carry_by_tangents(depth, tangents)
-        return Deviation(value, by_tangents, depth, self.place.depth_by_tangents(depth, tangents))
+        by_depth = value[:, :2, None] * self.place.depth_by_tangents(depth, tangents)[:, None, :]
+        near = inverse_depth[:, None]
+        far = 1.0 - depth[:, None] * near  # share of the point's depth behind B
+        slope = far[..., None] * by_tangents[:, :2] + near[..., None] * (by_tangents[:, 2:] - by_depth)
+        return far * value[:, :2] + near * value[:, 2:], slope
+
+    def _inputs(self, tangents: FloatArray, viewpoint: FloatArray) -> FloatArray:
+        return joined(self.place.carry(viewpoint, tangents), tangents)
 
     def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         inputs = self._inputs(tangents, viewpoint)
@@ -105,8 +115,11 @@ class SeeThroughModel(FittedSeeThrough):
         return Answer(root.unknown, inside, root.converged, root.unknown)
 
     def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
-        by_value = self._deviation_at(tangents, viewpoint).view_by_value(1.0 / (viewpoint[:, 2] - subject[:, 2]))
-        return Sensitivity(self._inputs(tangents, viewpoint), by_value)
+        near = 1.0 / (viewpoint[:, 2] - subject[:, 2])
+        far = 1.0 - self.place.depth_along(viewpoint, tangents) * near
+        slope = np.eye(2) + self.displacement_at(tangents, viewpoint, near)[1]
+        by_value = np.concatenate([each[:, None, None] * np.eye(2) for each in (far, near)], axis=-1)
+        return Sensitivity(self._inputs(tangents, viewpoint), np.asarray(-np.linalg.solve(slope, by_value)))
 
 
 def undeviated(eye_box: EyeBox) -> SeeThroughModel:

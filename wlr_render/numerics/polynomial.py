@@ -331,7 +331,7 @@ class Polynomial:
 
     @property
     def rounding(self) -> float:
-        """Rounding error of the values; see `regressor.Regressor`."""
+        """Rounding error of the values: tolerances of solves are not smaller."""
         return 0.0
 
     def __call__(self, inputs: FloatArray) -> FloatArray:

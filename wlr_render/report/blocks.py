@@ -146,6 +146,7 @@ class Report:
         files: files that the job wrote.
         record: data for the JSON file, a dataclass or a mapping.
         faults: items that could not be used; the command line exits with status 2 if there are any.
+        stem: name of its files without the extension; empty if it is only printed.
     """
 
     title: str
@@ -157,6 +158,7 @@ class Report:
     files: Sequence[Path] = ()
     record: Any = field(default_factory=dict)
     faults: Sequence[str] = ()
+    stem: str = "report"
 
     @property
     def tables(self) -> list[ReportTable]:

@@ -110,16 +110,7 @@ def heat_map(
         if log:
             decades = np.arange(np.ceil(low), np.floor(high) + 1)
             colours["colorbar"] |= {"tickvals": decades, "ticktext": [f"{10.0**decade:g}" for decade in decades]}
-    trace = {
-        "type": "heatmap",
-        "x": cell * block * (np.arange(cells.shape[1]) + 0.5),
-        "y": cell * block * (np.arange(cells.shape[0]) + 0.5),
-        "z": _rounded(shown),
-        "customdata": _rounded(cells),
-        "hovertemplate": f"%{{x:.0f}}, %{{y:.0f}}: %{{customdata:.3g}} {unit}<extra></extra>",
-        "hoverongaps": False,
-        **colours,
-    }
+    trace = _cells(cells, shown, cell * block, unit) | colours
     layout = {
         "xaxis": axis("u (px)") | {"constrain": "domain"},
         "yaxis": axis("v (px)") | {"autorange": "reversed", "scaleanchor": "x", "constrain": "domain"},
@@ -168,21 +159,22 @@ def small_heat_maps(
         }
         at = {"x": sum(across) / 2, "y": top - 0.12 / rows, "xref": "paper", "yref": "paper"}
         layout["annotations"].append(at | {"xanchor": "center", "yanchor": "bottom", "text": name, "showarrow": False})
-        data.append(
-            {
-                "type": "heatmap",
-                "x": cell * (np.arange(values.shape[1]) + 0.5),
-                "y": cell * (np.arange(values.shape[0]) + 0.5),
-                "z": _rounded(np.log10(np.maximum(values, 10.0**low))),
-                "customdata": _rounded(values),
-                "hovertemplate": f"%{{x:.0f}}, %{{y:.0f}}: %{{customdata:.3g}} {unit}<extra>{name}</extra>",
-                "hoverongaps": False,
-                "coloraxis": "coloraxis",
-                "xaxis": f"x{suffix}",
-                "yaxis": f"y{suffix}",
-            }
-        )
+        trace = _cells(values, np.log10(np.maximum(values, 10.0**low)), cell, unit, name)
+        data.append(trace | {"coloraxis": "coloraxis", "xaxis": f"x{suffix}", "yaxis": f"y{suffix}"})
     return Plot(title, data, layout, caption, height_px=60 + 230 * rows)
+
+
+def _cells(values: FloatArray, shown: FloatArray, cell: float, unit: str, name: str = "") -> dict[str, Any]:
+    """Return a trace of coloured cells (height, width), whose colours are of `shown`."""
+    return {
+        "type": "heatmap",
+        "x": cell * (np.arange(values.shape[1]) + 0.5),
+        "y": cell * (np.arange(values.shape[0]) + 0.5),
+        "z": _rounded(shown),
+        "customdata": _rounded(values),
+        "hovertemplate": f"%{{x:.0f}}, %{{y:.0f}}: %{{customdata:.3g}} {unit}<extra>{name}</extra>",
+        "hoverongaps": False,
+    }
 
 
 def block_maxima(values: FloatArray, block: int) -> FloatArray:

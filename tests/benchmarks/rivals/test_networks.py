@@ -10,10 +10,10 @@ from scipy.optimize import check_grad
 
 from benchmarks.rivals.network_training import ProjectedLoss, TanhLayers
 from benchmarks.rivals.networks import network
+from benchmarks.rivals.numeric_regressor import Regressor
 from benchmarks.rivals.samples import Samples
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.regressor import Regressor
 
 PLACES = 25
 READINGS = 150

@@ -21,7 +21,6 @@ from wlr_render.mappings import Eye
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Block, Cell, Report, ReportTable, Section
-from wlr_render.report.save import save_report
 from wlr_render.simulation.simulate_captures import simulate
 from wlr_render.work.progress import SILENT
 
@@ -62,7 +61,7 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
     remove_results(folder, list(captures))
     model, notes = save_models(folder, fits)
     files = [model, *(save_captures(folder / f"captures-{eye}.npz", each) for eye, each in captures.items())]
-    report = Report(
+    return Report(
         f"Calibration of {device.name}, simulated",
         verdict=" ".join(sentences),
         advice=_of_each(fits, fit_advice),
@@ -76,7 +75,6 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
             "fits": {fit.mappings.eye: fit.model().report for fit in fits},
         },
     )
-    return save_report(report, folder)
 
 
 def simulate_captures(truth: Eye, options: CalibrateOptions) -> Captures:

@@ -17,7 +17,6 @@ from wlr_render.jobs.calibrate.calibrate_options import (
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
 from wlr_render.jobs.options import ProgressArgument
 from wlr_render.report.blocks import Report
-from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT
 
 
@@ -40,7 +39,7 @@ def calibrate_captures(options: CalibrateOptions, *, progress: ProgressArgument 
     is_own = path.resolve() == (folder / f"captures-{fit.mappings.eye}.npz").resolve()
     remove_results(folder, [fit.mappings.eye], keep_captures=is_own)
     model, notes = save_models(folder, [fit])
-    report = Report(
+    return Report(
         f"Calibration of {fit.device}, {fit.mappings.eye} eye",
         verdict=fit_sentences(comparison),
         advice=fit_advice(fit),
@@ -50,4 +49,3 @@ def calibrate_captures(options: CalibrateOptions, *, progress: ProgressArgument 
         files=[model],
         record={"options": options, "device": fit.device, "fits": {fit.mappings.eye: fit.model().report}},
     )
-    return save_report(report, folder)

@@ -104,7 +104,7 @@ def report_of(found: SessionCalibration, options: CalibrateOptions) -> Report:
         for each in found.eyes.values()
         for warning in fit_warnings(each.fit, set_names(found, each), sigma_is_given=False)
     ]
-    report = Report(
+    return Report(
         f"Calibration of {session.device}, {' and '.join(session.eyes)} eye{'s' * (len(session.eyes) > 1)}",
         verdict=headline(found),
         advice=advice(found),
@@ -115,4 +115,3 @@ def report_of(found: SessionCalibration, options: CalibrateOptions) -> Report:
         faults=found.faults,
         record={"options": options, "device": session.device, **_record(found)},
     )
-    return save_report(report, folder)

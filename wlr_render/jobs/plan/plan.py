@@ -30,7 +30,6 @@ from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.planning.planned_bench import PlannedBench, ReadingOptions
 from wlr_render.planning.search import LEAST_PLACES, find_design
 from wlr_render.report.blocks import Report
-from wlr_render.report.save import save_report
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
@@ -158,5 +157,4 @@ def plan(options: PlanOptions, *, progress: ProgressArgument = SILENT) -> Report
     folder = output_folder(options.out)
     written = write_text(folder / PLACES_FILE, places_csv(places))
     record = {"options": options, "places_mm": 1e3 * places} | dict(report.record)
-    report = replace(report, inputs=[*inputs, *report.inputs], files=[written], record=record)
-    return save_report(report, folder)
+    return replace(report, inputs=[*inputs, *report.inputs], files=[written], record=record)

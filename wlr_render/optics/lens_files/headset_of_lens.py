@@ -18,6 +18,7 @@ from wlr_render.optics.media import AIR, GREEN_UM
 from wlr_render.optics.surfaces import Conic
 from wlr_render.optics.tracer import trace
 
+_MM = 1e-3
 _PROBE = 0.01  # tangent of the rays that test whether the image on the panel is upright
 _MOST_SURFACES = 100  # most surfaces of a device file
 _SAME_UM = 0.1  # difference between two forms of a panel below which no note is written
@@ -25,35 +26,35 @@ _SAME_UM = 0.1  # difference between two forms of a panel below which no note is
 
 @dataclass(frozen=True, kw_only=True)
 class HeadsetChoices:
-    """Choices about a headset that a lens file does not state; lengths in metres.
+    """Choices about a headset that a lens file does not state, named as the options of `import-lens`.
 
     Attributes:
         name: name of the device.
         source: source of its numbers.
         starts_at: where the light of the file begins.
-        pupil: number of the surface at the eye's pupil; None for the aperture stop.
-        eye_relief: distance of the pupil from the first surface that bends rays, in place of `pupil`.
-        panel: number of the panel's surface; None for the image, or for the object if the light starts there.
-        panel_size: (width, height) of the lit area.
-        pixels: pixels of the panel.
-        eye_box_size: (3,) along right, up and back.
-        eye_centre: (3,) the pupil in the device.
-        side: side of the eye.
-        use_semi_diameters: True to use the semi-diameters of drawn surfaces as clear apertures.
+        pupil_surface: number of the surface at the eye's pupil; None for the aperture stop.
+        eye_relief_mm: distance of the pupil from the first surface that bends rays, in place of `pupil_surface`.
+        panel_surface: number of the panel's surface; None for the image, or for the object if the light starts there.
+        panel_mm: (width, height) of the lit area.
+        panel: pixels of the panel.
+        eye_box_mm: (3,) along right, up and back.
+        eye_centre_mm: (3,) the pupil in the device.
+        eye: side of the eye.
+        semi_diameters: True to use the semi-diameters of drawn surfaces as clear apertures.
     """
 
     name: str
     source: str
     starts_at: Literal["eye", "panel"]
-    pupil: int | None
-    eye_relief: float | None
-    panel: int | None
-    panel_size: tuple[float, float]
-    pixels: tuple[int, int]
-    eye_box_size: tuple[float, float, float]
-    eye_centre: tuple[float, float, float]
-    side: str
-    use_semi_diameters: bool
+    pupil_surface: int | None
+    eye_relief_mm: float | None
+    panel_surface: int | None
+    panel_mm: tuple[float, float]
+    panel: tuple[int, int]
+    eye_box_mm: tuple[float, float, float]
+    eye_centre_mm: tuple[float, float, float]
+    eye: str
+    semi_diameters: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,16 +116,16 @@ def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> Impo
             _name(surface),
             surface.shape,
             device_from_file @ surface.file_from_surface,
-            _aperture(surface, choices.use_semi_diameters),
+            _aperture(surface, choices.semi_diameters),
         )
         medium = surface.medium if from_eye or surface.reflects else lens.medium_before(place)
         steps.append(Step(placed, Interaction.REFLECT if surface.reflects else Interaction.REFRACT, medium))
     display = RayPath(tuple(steps))
     panel_surface = lens.surfaces[panel_place]
-    eye_box = EyeBox(np.array(choices.eye_centre), np.array(choices.eye_box_size))
+    eye_box = EyeBox(_MM * np.array(choices.eye_centre_mm), _MM * np.array(choices.eye_box_mm))
     panel, is_reached = _panel(device_from_file @ panel_surface.file_from_surface, display, eye_box.centre, choices)
     panel, notes = _bowed(panel, panel_surface, device_from_file)
-    device = Device(choices.name, choices.source, {choices.side: EyeOptics(display, RayPath(), panel, eye_box)})
+    device = Device(choices.name, choices.source, {choices.eye: EyeOptics(display, RayPath(), panel, eye_box)})
     between = range(min(*ordered, panel_place), max(*ordered, panel_place) + 1)
     passed_over = tuple(lens.surfaces[place].number for place in between if place not in (*ordered, panel_place))
     return ImportedHeadset(
@@ -145,8 +146,8 @@ def _unread_types(lens: LensFile) -> str:
 
 
 def _panel_place(path: Path, lens: LensFile, choices: HeadsetChoices, places: dict[int, int]) -> int:
-    if choices.panel is not None:
-        place = _place(path, places, choices.panel, "--panel-surface")
+    if choices.panel_surface is not None:
+        place = _place(path, places, choices.panel_surface, "--panel-surface")
     else:
         place = len(lens.surfaces) - 1 if choices.starts_at == "eye" else 0
     if not np.isfinite(lens.surfaces[place].file_from_surface).all():
@@ -175,13 +176,14 @@ def _pupil(
     look = 1.0 if from_eye else -1.0 if mirrors % 2 == 0 else 1.0
     turned = np.eye(4) if look > 0 else np.diag([-1.0, 1.0, -1.0, 1.0])
     first = lens.surfaces[nearest]
-    if choices.eye_relief is not None:
+    if choices.eye_relief_mm is not None:
         axes = lens.surfaces[1 if from_eye else len(lens.surfaces) - 1].file_from_surface
         pose = rigid(axes[:3, :3], first.file_from_surface[:3, 3]) @ turned
-        text = f"{1e3 * choices.eye_relief:g} mm before surface {first.number}, as --eye-relief-mm says"
-        return pose @ rigid(np.eye(3), np.array([0.0, 0.0, -choices.eye_relief])), text
-    if choices.pupil is not None:
-        place, text = _place(path, places, choices.pupil, "--pupil-surface"), f"at surface {choices.pupil}"
+        text = f"{choices.eye_relief_mm:g} mm before surface {first.number}, as --eye-relief-mm says"
+        return pose @ rigid(np.eye(3), np.array([0.0, 0.0, -_MM * choices.eye_relief_mm])), text
+    if choices.pupil_surface is not None:
+        place = _place(path, places, choices.pupil_surface, "--pupil-surface")
+        text = f"at surface {choices.pupil_surface}"
     else:
         stops = [place for place, surface in enumerate(lens.surfaces) if surface.is_stop]
         if not stops:
@@ -201,7 +203,7 @@ def _pupil(
 
 def _device_from_pupil(choices: HeadsetChoices) -> FloatArray:
     """Return the rotation from the pupil's frame (looking along z) to the device (looking along -z)."""
-    return rigid(np.diag([-1.0, 1.0, -1.0]), np.array(choices.eye_centre))
+    return rigid(np.diag([-1.0, 1.0, -1.0]), _MM * np.array(choices.eye_centre_mm))
 
 
 def _name(surface: LensSurface) -> str:
@@ -234,7 +236,7 @@ def _panel(
     axes[1 - along, 1] = -np.copysign(1.0, jacobian[1 - along, 1])
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     pose = device_from_surface @ rigid(axes, np.zeros(3))
-    return PlacedPanel(pose, np.array(choices.panel_size), Panel(*choices.pixels)), is_reached
+    return PlacedPanel(pose, _MM * np.array(choices.panel_mm), Panel(*choices.panel)), is_reached
 
 
 def _bowed(panel: PlacedPanel, surface: LensSurface, device_from_file: FloatArray) -> tuple[PlacedPanel, list[Ignored]]:
