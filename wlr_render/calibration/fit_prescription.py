@@ -23,6 +23,7 @@ from wlr_render.optics.assembly import ASSEMBLY_NAMES, ASSEMBLY_SIZES, assembled
 from wlr_render.optics.compile_polynomials import CompiledMap, compile_display, compile_see_through
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.device_file import device_content
+from wlr_render.optics.media import GREEN_UM
 from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import trace
 
@@ -53,7 +54,6 @@ class FittedAssembly:
         covariance: (12, 12) of the values, if residuals were independent; a wrong shape makes them larger.
         display_arcmin, see_through_arcmin: robust standard deviation of the residuals per axis, noise included; None
             without see-through captures.
-        wavelength_um: of the light, vacuum.
     """
 
     prescription: EyeOptics
@@ -61,7 +61,6 @@ class FittedAssembly:
     covariance: FloatArray
     display_arcmin: float
     see_through_arcmin: float | None
-    wavelength_um: float
 
     @property
     def optics(self) -> EyeOptics:
@@ -69,8 +68,8 @@ class FittedAssembly:
         return assembled(self.prescription, self.values)
 
 
-def fit_assembly(captures: Captures, optics: EyeOptics, wavelength_um: float = 0.55) -> FittedAssembly:
-    """Fit the twelve assembly errors of a prescription to display and see-through captures together.
+def fit_assembly(captures: Captures, optics: EyeOptics) -> FittedAssembly:
+    """Fit the twelve assembly errors of a prescription, in green light, to display and see-through captures together.
 
     Nonlinear least squares, robust in the angles; each error has a Gaussian prior of its plausible size. The size of
     the residuals is estimated, for display and see-through apart: it also contains what assembly errors cannot explain.
@@ -83,9 +82,9 @@ def fit_assembly(captures: Captures, optics: EyeOptics, wavelength_um: float = 0
     """
     parts: list[_DisplayReadings | _SeeThroughReadings] = []
     if captures.display is not None:
-        parts.append(_DisplayReadings.of(captures.display, optics, wavelength_um))
+        parts.append(_DisplayReadings.of(captures.display, optics))
     if captures.see_through is not None:
-        parts.append(_SeeThroughReadings(_thinned(captures.see_through), wavelength_um))
+        parts.append(_SeeThroughReadings(_thinned(captures.see_through)))
     scaled = np.zeros(len(ASSEMBLY_NAMES))
     sizes = [_robust_size(part.residual(optics)) for part in parts]
     for _ in range(_ROUNDS):
@@ -109,7 +108,7 @@ def fit_assembly(captures: Captures, optics: EyeOptics, wavelength_um: float = 0
     covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(ASSEMBLY_SIZES, ASSEMBLY_SIZES)
     display_arcmin, *see_through_arcmin = (size / ARCMIN for size in sizes)
     return FittedAssembly(
-        optics, ASSEMBLY_SIZES * scaled, covariance, display_arcmin, next(iter(see_through_arcmin), None), wavelength_um
+        optics, ASSEMBLY_SIZES * scaled, covariance, display_arcmin, next(iter(see_through_arcmin), None)
     )
 
 
@@ -136,7 +135,7 @@ def display_trend(assembly: FittedAssembly, plane: BasePlane, box: Box) -> Trend
     Raises:
         BadInputError: hardly any ray of the box passes the optics.
     """
-    return _trend(assembly, compile_display(assembly.prescription, assembly.values, plane, box, assembly.wavelength_um))
+    return _trend(assembly, compile_display(assembly.prescription, assembly.values, plane, box))
 
 
 def see_through_trend(assembly: FittedAssembly, plane: BasePlane, box: Box) -> Trend:
@@ -144,9 +143,7 @@ def see_through_trend(assembly: FittedAssembly, plane: BasePlane, box: Box) -> T
 
     The parameters are the same as the display's.
     """
-    return _trend(
-        assembly, compile_see_through(assembly.prescription, assembly.values, plane, box, assembly.wavelength_um)
-    )
+    return _trend(assembly, compile_see_through(assembly.prescription, assembly.values, plane, box))
 
 
 def with_posterior(assembly: FittedAssembly, mean: FloatArray, covariance: FloatArray) -> FittedAssembly:
@@ -180,28 +177,24 @@ class _DisplayReadings:
     Attributes:
         captures: a part of all.
         tangents_by_pixel: (n, 2, 2) of the prescription, NaN where it has no ray: turns residuals into angles.
-        wavelength_um: vacuum.
     """
 
     captures: DisplayCaptures
     tangents_by_pixel: FloatArray
-    wavelength_um: float
 
     @classmethod
-    def of(cls, captures: DisplayCaptures, optics: EyeOptics, wavelength_um: float) -> "_DisplayReadings":
+    def of(cls, captures: DisplayCaptures, optics: EyeOptics) -> "_DisplayReadings":
         captures = _thinned(captures)
-        display = TracedDisplay(optics, wavelength_um)
+        display = TracedDisplay(optics, GREEN_UM)
         steps = _TANGENT_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])[:, None]
         pixel, _ = display.plane_pixel(dir_of_tangents(captures.tangents + steps), captures.viewpoint)
         by_tangents = np.moveaxis(pixel[1:] - pixel[0], 0, -1) / _TANGENT_STEP
         by_tangents[~np.isfinite(by_tangents).all(axis=(1, 2))] = np.nan
-        return cls(captures, np.linalg.inv(by_tangents), wavelength_um)
+        return cls(captures, np.linalg.inv(by_tangents))
 
     def residual(self, optics: EyeOptics) -> FloatArray:
         """Angles (2 n,) in radians from the measured pixels to those of the measured rays; NaN without a ray."""
-        found, _ = TracedDisplay(optics, self.wavelength_um).plane_pixel(
-            self.captures.view_dir, self.captures.viewpoint
-        )
+        found, _ = TracedDisplay(optics, GREEN_UM).plane_pixel(self.captures.view_dir, self.captures.viewpoint)
         change = np.einsum("nij,nj->ni", self.tangents_by_pixel, found - self.captures.pixel)
         return _angles(change, self.captures.tangents)
 
@@ -211,12 +204,11 @@ class _SeeThroughReadings:
     """See-through captures as residuals."""
 
     captures: SeeThroughCaptures
-    wavelength_um: float
 
     def residual(self, optics: EyeOptics) -> FloatArray:
         """Angles (2 n,) in radians, seen from the viewpoint, by which world rays pass the points; NaN without a ray."""
         captures = self.captures
-        seen = trace(optics.see_through, captures.viewpoint, captures.view_dir, self.wavelength_um)
+        seen = trace(optics.see_through, captures.viewpoint, captures.view_dir, GREEN_UM)
         past = BasePlane(0.0).carry(seen.origin - captures.point, tangents_of_dir(seen.direction))
         depth = captures.viewpoint[:, 2:] - captures.point[:, 2:]
         return _angles(past / depth, captures.tangents)
