@@ -5,7 +5,7 @@ out.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from wlr_render.diagnosis.outliers import not_excluded
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.tables import OfCause
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.report.blocks import ReportTable, table
+from wlr_render.report.blocks import Report, ReportTable, Section, table
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,22 @@ class HeldOutResidual:
     noise: float
 
 
-def held_out_residuals(diagnosis: Diagnosis) -> list[HeldOutResidual]:
+def with_held_out(report: Report, found: Diagnosis) -> Report:
+    """Add the predictions of left-out captures and distances to a report."""
+    if not found.causes:
+        nothing = (
+            "No cause was found, so nothing is held out; to test a bench model on other captures, use wlr-render "
+            "predict BENCH SESSION."
+        )
+        return replace(report, warnings=[*report.warnings, nothing])
+    residuals = _residuals(found)
+    verdict = " ".join((report.verdict, *_sentences(residuals)))
+    tables = [_table(found, residuals), _values(found)]
+    blocks = [*report.blocks, Section("Cross-validation"), *tables]
+    return replace(report, verdict=verdict, blocks=blocks)
+
+
+def _residuals(diagnosis: Diagnosis) -> list[HeldOutResidual]:
     """Return the residuals of each capture by the fit to all others, then of target distances held out or alone."""
     readings, predictor = diagnosis.readings, diagnosis.readings.predictor
     observations, before = readings.observations, predictor.residual(Explanation())
@@ -75,7 +90,7 @@ def _splits(at_distance: dict[str, BoolArray], counted: BoolArray) -> Iterator[t
         yield (f"{name} only", "all other distances"), everything & ~rows
 
 
-def hold_out_sentences(residuals: Sequence[HeldOutResidual]) -> Iterator[str]:
+def _sentences(residuals: Sequence[HeldOutResidual]) -> Iterator[str]:
     """Yield, for each kind of fit, a sentence on the readings whose residual exceeds the noise most."""
     for fitted_to in dict.fromkeys(each.fitted_to for each in residuals):
         alike = (each for each in residuals if each.fitted_to == fitted_to)
@@ -86,7 +101,7 @@ def hold_out_sentences(residuals: Sequence[HeldOutResidual]) -> Iterator[str]:
         )
 
 
-def hold_out_table(diagnosis: Diagnosis, residuals: Sequence[HeldOutResidual]) -> ReportTable:
+def _table(diagnosis: Diagnosis, residuals: Sequence[HeldOutResidual]) -> ReportTable:
     """Return the residuals of held-out readings by the bench as described and as corrected."""
     acting = "; ".join(f"{cause.name}, {cause.variant}" for cause in diagnosis.causes)
     captures = ", ".join(str(moved.capture) for moved in diagnosis.excluded) or "no capture"
@@ -109,7 +124,7 @@ def hold_out_table(diagnosis: Diagnosis, residuals: Sequence[HeldOutResidual]) -
     )
 
 
-def hold_out_values(diagnosis: Diagnosis) -> ReportTable:
+def _values(diagnosis: Diagnosis) -> ReportTable:
     """Return the values found, with the standard errors of the fit and of leaving out each capture in turn."""
     fitted = diagnosis.fit
     causes = [hypothesis.cause for hypothesis in fitted.explanation.hypotheses]

@@ -13,13 +13,7 @@ from wlr_render.bench.session_folder import check_enough_captures
 from wlr_render.captures.session import SeeThroughPlan, Session
 from wlr_render.diagnosis.cause import Cause, unknown_cause
 from wlr_render.diagnosis.causes.user_causes import causes_for
-from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.hold_out_report import (
-    held_out_residuals,
-    hold_out_sentences,
-    hold_out_table,
-    hold_out_values,
-)
+from wlr_render.diagnosis.hold_out_report import with_held_out
 from wlr_render.diagnosis.procedure import diagnose as diagnose_session
 from wlr_render.diagnosis.report import CORRECTED, STEM, diagnosis_report, improvement_found, write_corrected
 from wlr_render.diagnosis.settings import DEFAULT
@@ -29,7 +23,7 @@ from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described, option_group
-from wlr_render.report.blocks import Report, Section
+from wlr_render.report.blocks import Report
 from wlr_render.work.progress import SILENT
 
 _BENCH = option_group("Bench to compare with", 1)
@@ -141,7 +135,7 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     if options.hold_out:
         progress.say("predicting left-out captures and distances")
         with prefix_errors(options.session):
-            report = _with_held_out(report, found)
+            report = with_held_out(report, found)
     return report
 
 
@@ -156,21 +150,6 @@ def _signature(options: DiagnoseOptions, name: str, nominal: Bench, session: Ses
         raise BadInputError(f"--show-cause: {unknown_cause(name, causes)}")
     with prefix_errors(options.session):
         return signature_report(nominal, session, causes[name], options.inputs())
-
-
-def _with_held_out(report: Report, found: Diagnosis) -> Report:
-    """Add the predictions of left-out captures and distances to a report."""
-    if not found.causes:
-        nothing = (
-            "No cause was found, so nothing is held out; to test a bench model on other captures, use wlr-render "
-            "predict BENCH SESSION."
-        )
-        return replace(report, warnings=[*report.warnings, nothing])
-    residuals = held_out_residuals(found)
-    verdict = " ".join((report.verdict, *hold_out_sentences(residuals)))
-    tables = [hold_out_table(found, residuals), hold_out_values(found)]
-    blocks = [*report.blocks, Section("Cross-validation"), *tables]
-    return replace(report, verdict=verdict, blocks=blocks)
 
 
 def _check_enough_readings(session: Session) -> None:
