@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.bench.bench_effects import AnyFunction
 from wlr_render.bench.simulate_session import (
     camera_positions,
     display_dirs,
@@ -28,7 +29,7 @@ from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
+from wlr_render.numerics.polynomial import Box, basis, total_degree
 from wlr_render.numerics.waves import LocalWaves, local_orders
 from wlr_render.optics.combiner_form import SURFACES, places_on_combiner, surfaces_raised
 from wlr_render.optics.device import EyeOptics, Path
@@ -118,6 +119,8 @@ def combiner_fields(readings: WeighedReadings, spot: Box | None = None) -> Itera
     every = np.concatenate([each.place for each in meetings])
     orders, local = total_degree(2, _DEGREES[-1]), local_orders(_SPOT_DEGREES[-1])
     whole = polynomials(orders, Box.around(every[np.isfinite(every).all(axis=1)]))
+    # The slopes of all terms by differences take a tenth of the time of a polynomial's Jacobian.
+    heights = AnyFunction(partial(basis, orders=orders, box=whole.box), whole.box)
     for surfaces, names_of in SURFACES.items():
         names = names_of(optics)
         if not names or names in done:
@@ -126,15 +129,15 @@ def combiner_fields(readings: WeighedReadings, spot: Box | None = None) -> Itera
         of_surfaces = [each for each in meetings if each.surface in names]
         # A height of the second degree in all surfaces is a tilt and a form error, which are causes.
         degrees = _DEGREES if surfaces in _OF_CAUSES else (2, *_DEGREES)
-        columns, place = _by_height(of_surfaces, whole), np.where(met[:, None], first, 0.0)
-        values = whole(place)
+        columns, place = _by_height(of_surfaces, heights, len(orders)), np.where(met[:, None], first, 0.0)
+        values = heights(place)
         # A height that is the same everywhere moves next to nothing, and its value is next to unknown.
         values = values - values[met].mean(axis=0)
         terms = Terms(_PLACE, place, values, np.asarray(orders.sum(axis=1)), degrees, (whole,))
         yield _height_field(surfaces, "", terms, columns, met)
         for box in () if spot is None else (_middle_of(spot, share) for share in _SPOT_SHARES):
             waves = LocalWaves(local, box, np.eye(len(local)))
-            columns = _by_height(of_surfaces, waves)
+            columns = _by_height(of_surfaces, waves, len(local))
             acts = np.any(columns != 0.0, axis=(1, 2)) & met
             terms = Terms(_PLACE, place, waves(place), local.sum(axis=1) - 1, _SPOT_DEGREES, (waves,))
             if acts.any():
@@ -155,9 +158,9 @@ def _height_field(surfaces: str, where: str, terms: Terms, columns: FloatArray, 
     return replace(field_of("combiner", form, "um", terms, columns[..., None], every, surfaces), acts=acts)
 
 
-def _by_height(meetings: Sequence[_Meeting], heights: Polynomial | LocalWaves) -> FloatArray:
-    """Change (n, 2, t) of the readings by heights (t) of surfaces, as functions of the place."""
-    columns = np.zeros((*meetings[0].lever.shape[:2], len(heights.coefficients)))
+def _by_height(meetings: Sequence[_Meeting], heights: AnyFunction | LocalWaves, count: int) -> FloatArray:
+    """Change (n, 2, count) of the readings by heights of surfaces, as functions of the place."""
+    columns = np.zeros((*meetings[0].lever.shape[:2], count))
     for each in meetings:
         rows = heights.box.contains(each.place)
         height, slopes = heights.with_jacobian(each.place[rows])
