@@ -168,6 +168,22 @@ def test_photographs_of_another_board_are_rejected_by_name():
     assert list(found.rejected) == [wrong.name]
 
 
+def test_a_near_board_on_which_errors_of_the_print_show_is_compared_with_itself():
+    observations = thinned(TrueBench(8, PERFECT).observations(lens_photographs=6))
+    views = [view for view in observations.views if view.camera == EYEBALL]
+    near = [view for view in views if view.target == 0]
+    assert 2 < len(near) < len(views) / 2
+    times = dict(zip([view.name for view in near], np.linspace(3.2, 4.4, len(near)), strict=True))
+    times[near[1].name] = 20.0  # blurred or misread: no print does this in one photograph of several
+
+    def printed(view):
+        wave = np.stack([np.sin(2.0 * view.feature[:, 0]), np.cos(2.0 * view.feature[:, 1])], axis=1)
+        return replace(view, pixel=view.pixel + times.get(view.name, 0.0) * view.sigma_px[:, None] * wave)
+
+    found = sound_views(list(map(printed, views)), observations.cameras[EYEBALL], observations)
+    assert list(found.rejected) == [near[1].name]
+
+
 def test_a_target_that_nothing_places_is_refused():
     bench = TrueBench(9)
     observations = thinned(bench.observations(lens_photographs=5, tracked=()))

@@ -1,5 +1,7 @@
 """Motion during a sweep, by photographs of the target that were repeated at one stage reading."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,8 @@ from wlr_render.geometry.transforms import apply, rigid, rotation_about
 LENS = LensCamera((1280, 1024), np.full(2, 1350.0), np.array([640.0, 512.0]))
 INDEX = np.stack(np.meshgrid(np.arange(20), np.arange(15)), axis=-1).reshape(-1, 2)
 POINT = np.concatenate([(INDEX - [9.5, 7.0]) * 0.02, np.zeros((300, 1))], axis=1)
+EXPECTED = (0.2 * ARCMIN, np.arange(6)), (0.2 * ARCMIN * 0.5, np.arange(6)[::-1])
+"""Turn and shift across a line of sight of half a metre that displace by .2', and their order in a motion."""
 AHEAD = rigid(np.eye(3), np.array([0.0, 0.0, 0.5]))
 
 
@@ -67,6 +71,16 @@ def test_a_certain_motion_is_named_beside_a_larger_one_that_is_noise():
     found = sweep_check(0, None, [noise, motion], LENS)
     assert alone.value > found.value == pytest.approx(0.64, abs=0.05)
     assert not found.ok
+
+
+def test_what_a_stage_and_its_warm_up_are_expected_to_do_is_no_motion():
+    sound = replace(repeated(moved_right(0.64), 0.03), device_from_target=AHEAD)
+    turns, shifts = (np.diag(np.square([size] * 3 + [0.0] * 3)[order]) for size, order in EXPECTED)
+    for motion in (turns, shifts):
+        found = sweep_check(0, None, [replace(sound, motion=motion)], LENS)
+        assert found.ok
+        assert found.sigma == pytest.approx(0.2 * np.sqrt(2.0), rel=0.1)  # two axes across the line of sight
+    assert not sweep_check(0, None, [replace(sound, motion=0.04 * turns)], LENS).ok
 
 
 def test_photographs_without_a_common_dot_show_nothing():

@@ -88,9 +88,13 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
         near = residual.max(axis=1) <= _OUTLIER_SIGMAS * max(scale, 1.0)
         kept.append(view.only(near))
         scales.append(scale)
-    usual = float(np.median(scales)) if scales else 1.0
+    of_pose: dict[int | None, list[float]] = {}
+    for view, scale in zip(kept, scales, strict=True):
+        of_pose.setdefault(view.target, []).append(scale)
     sound = []
     for view, scale in zip(kept, scales, strict=True):
+        # Errors of the print move the features of a near board farther than those of a distant one.
+        usual = float(max(np.median(scales), np.median(of_pose[view.target])))
         if len(kept) > 2 and scale > _POOR_FIT * usual:
             rejected[view.name] = (
                 f"its features miss the best pose of the board {scale / usual:.1f} times as far as those of the other "

@@ -35,6 +35,9 @@ class RepeatedView:
         device_from_camera: (4, 4) of the eyeball camera.
         first, last: dots of the two; those that are in both are compared.
         last_from_first: (3, 3) known rotation of the camera between the two photographs, by its warm-up.
+        motion: (6, 6) covariance of its motion between them beside that, camera's frame: rotation (rad), translation
+            (m). A stage does not quite return, and a warm-up is not quite known.
+        device_from_target: (4, 4) of the board, for what such a motion displaces.
     """
 
     target: int
@@ -42,6 +45,8 @@ class RepeatedView:
     first: BoardView
     last: BoardView
     last_from_first: FloatArray = field(default_factory=partial(np.eye, 3))
+    motion: FloatArray = field(default_factory=partial(np.zeros, (6, 6)))
+    device_from_target: FloatArray = field(default_factory=partial(np.eye, 4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +120,7 @@ class _ViewChange:
     Attributes:
         names: of the two photographs.
         arcmin: rms displacement by the affine motion that fits the dots best, less the part of noise.
-        sigma_arcmin: its standard deviation.
+        sigma_arcmin: its standard deviation, by noise and by what the stage is expected to do.
         is_significant: whether it is certainly more than can be neglected.
         foreseen_arcmin: rms that the target's motion by the tracking camera would have made.
         follows: how much of that motion is in what is seen, 1 if all.
@@ -189,7 +194,8 @@ def _view_change(
     camera: Lens,
 ) -> _ViewChange:
     point, displaced, sigma_px, per_px = _common(view, camera)
-    size, sigma = _affine_part(point, displaced * per_px, sigma_px * per_px)
+    size, noise = _affine_part(point, displaced * per_px, sigma_px * per_px)
+    sigma = float(np.hypot(noise, _expected_arcmin(view, point)))
     certain = size > NEGLIGIBLE_ARCMIN + _CERTAIN * sigma
     change = _ViewChange((view.first.name, view.last.name), size, sigma, certain)
     if tracked is None or len(point) == 0:
@@ -206,6 +212,19 @@ def _view_change(
         foreseen_arcmin=float(np.sqrt(np.mean(np.sum((foreseen * per_px) ** 2, axis=1)))),
         follows=float(np.sum(foreseen * displaced)) / power if power > 0 else 0.0,
     )
+
+
+def _expected_arcmin(view: RepeatedView, point: FloatArray) -> float:
+    """Rms displacement of points (n, 3) on the board, arcminutes, by the motions expected of the camera."""
+    if len(point) == 0 or not view.motion.any():
+        return 0.0
+    seen = transforms.apply(transforms.inverse(view.device_from_camera) @ view.device_from_target, point)
+    distance = np.linalg.norm(seen, axis=1, keepdims=True)
+    moved = np.concatenate([transforms.cross_matrix(seen), -np.broadcast_to(np.eye(3), (len(seen), 3, 3))], axis=2)
+    sight = seen / distance
+    across = moved - sight[:, :, None] * np.einsum("nk,nkm->nm", sight, moved)[:, None]
+    square = np.einsum("nkm,ml,nkl->n", across, view.motion, across) / distance[:, 0] ** 2
+    return float(np.sqrt(np.mean(square))) / ARCMIN
 
 
 def _common(view: RepeatedView, camera: Lens) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
