@@ -95,6 +95,11 @@ class LensCamera:
         """Copy of this camera with other values (P,) of its parameters."""
         return LensCamera(self.size_px, values[:2], values[2:4], values[4:], self.kind)
 
+    def as_kind(self, kind: str) -> "LensCamera":
+        """Return this camera as one of a kind whose terms begin with its own; the further terms are 0."""
+        more = len(LENS_KINDS[kind]) - len(self.distortion)
+        return LensCamera(self.size_px, self.focal_px, self.centre_px, np.pad(self.distortion, (0, more)), kind)
+
     @property
     def angle_limit(self) -> float:
         """Angle from the optical axis in radians below which the model maps directions to pixels one to one."""

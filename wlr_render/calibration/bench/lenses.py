@@ -18,9 +18,11 @@ from wlr_render.captures.boards.board_homography import by_homography
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
+from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 _KINDS = ("brown", "fisheye", "rational")  # kinds by number of terms; thin prisms are tried where rational terms help
+_FEWER = {"rational": "brown", "thin-prism": "rational"}  # kinds whose terms begin with those of another one
 _FEWEST_VIEWS = 3  # views of a plane that determine a camera (Zhang, IEEE PAMI 22 (2000), 1330)
 _CHOICE_FEATURES, _CHOICE_VIEWS = 100, 20  # enough to choose the kind of lens by
 _ENOUGH = 350  # features of a view: more cost time and tell little
@@ -138,9 +140,20 @@ def _plane_residual_px(view: BoardView) -> float:
 
 
 def free_views(
-    views: Sequence[BoardView], setup: CameraSetup, kind: str, observations: BenchObservations
+    views: Sequence[BoardView],
+    setup: CameraSetup,
+    kind: str,
+    observations: BenchObservations,
+    first: LensCamera | None = None,
 ) -> BenchState:
     """Adjust a lens of one kind, and the boards' shapes, to views of boards held anywhere.
+
+    Args:
+        views: of one camera.
+        setup: of it.
+        kind: of the lens.
+        observations: what is known of the boards.
+        first: lens to start from, of this kind or one with its first terms; None to find one.
 
     Raises:
         BadInputError: the views do not determine it.
@@ -149,7 +162,8 @@ def free_views(
     camera = free[0].camera
     alone = BenchObservations(free, {camera: replace(setup, kind=kind)}, {}, (), tolerances=observations.tolerances)
     try:
-        start = start_state(alone, {camera: start_lens(free, setup.size_px, kind)}, rough=True)
+        lens = start_lens(free, setup.size_px, kind) if first is None else first.as_kind(kind)
+        start = start_state(alone, {camera: lens}, rough=True)
         return adjust(start).state  # a rough lens needs no sigma
     except UndeterminedError as error:
         raise undetermined(views) from error
@@ -172,19 +186,25 @@ def _chosen_lens(
         kind = "brown" if setup.kind == "auto" else setup.kind
         return free_views(few, setup, kind, observations).lens[camera], {}
     missed: dict[str, FloatArray] = {}
+    lenses: dict[str, list[LensCamera]] = {}
     for kind in (*_KINDS, "thin-prism"):
         if kind == "thin-prism" and _simplest(missed) != "rational":
             continue
+        # A search for many terms at once gets stuck; from the lens of fewer terms it goes downhill.
+        fewer = lenses.get(_FEWER.get(kind, ""), (None, None))
+        starts = zip(folds, fewer, strict=True)
         try:
-            fitted = [free_views(fold, setup, kind, observations) for fold in folds]
+            fitted = [free_views(fold, setup, kind, observations, first) for fold, first in starts]
         except (BadInputError, np.linalg.LinAlgError):
             continue
+        lenses[kind] = [lens for state in fitted if isinstance(lens := state.lens[camera], LensCamera)]
         held = zip(fitted, folds[::-1], strict=True)
         missed[kind] = np.concatenate([_missed_px(state, camera, views) for state, views in held])
     if not missed:
         raise undetermined(views)
     rms = {kind: float(np.sqrt(np.mean(each))) for kind, each in missed.items()}
-    return free_views(few, setup, _simplest(missed), observations).lens[camera], rms
+    chosen = _simplest(missed)
+    return free_views(few, setup, chosen, observations, lenses[chosen][0]).lens[camera], rms
 
 
 def _simplest(missed: Mapping[str, FloatArray]) -> str:

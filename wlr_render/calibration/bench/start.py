@@ -38,7 +38,7 @@ from wlr_render.captures.feature_captures import TARGET_POSES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
-from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 _SOME = 80  # features of a view that the start takes: it need not be exact, and OpenCV's time grows with them
@@ -60,10 +60,7 @@ def start_lens(views: Sequence[BoardView], size_px: tuple[int, int], kind: str) 
     some = [view.only(np.arange(len(view)) % max(1, len(view) // _SOME) == 0) for view in views]
     if kind == "fisheye":
         return min(_fisheye_lenses(some, size_px), key=lambda lens: _rough_misfit_px(lens, some))
-    brown = _brown_lens(some, size_px)
-    terms = np.zeros(len(LENS_KINDS[kind]))
-    terms[:5] = brown.distortion
-    return LensCamera(brown.size_px, brown.focal_px, brown.centre_px, terms, kind)
+    return _brown_lens(some, size_px).as_kind(kind)
 
 
 def _brown_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensCamera:
