@@ -1,6 +1,7 @@
 """Files, classes, constants, verbs and options that the documents and messages name exist."""
 
 import re
+import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -203,3 +204,10 @@ def test_wrong_commands_are_found(text):
 )
 def test_right_commands_are_not_found(text):
     assert faults_of_text(text) == {}
+
+
+def test_the_picture_of_the_rooms_has_the_layers_of_the_contract():
+    contract = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"][0]
+    picture = Path("docs/architecture.md").read_text(encoding="utf-8").split("```")[1].partition("\n\n")[0]
+    rows = [re.split(r"\s{2,}", line[12:])[0] for line in picture.strip().splitlines()]
+    assert ["__main__", *rows] == contract["layers"]
