@@ -207,7 +207,9 @@ def test_right_commands_are_not_found(text):
 
 
 def test_the_picture_of_the_rooms_has_the_layers_of_the_contract():
-    contract = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"][0]
-    picture = Path("docs/architecture.md").read_text(encoding="utf-8").split("```")[1].partition("\n\n")[0]
+    contract = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ][0]
+    picture = (ROOT / "docs/architecture.md").read_text(encoding="utf-8").split("```")[1].partition("\n\n")[0]
     rows = [re.split(r"\s{2,}", line[12:])[0] for line in picture.strip().splitlines()]
     assert ["__main__", *rows] == contract["layers"]
