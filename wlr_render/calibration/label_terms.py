@@ -25,7 +25,7 @@ from wlr_render.usual import (
 
 USUAL_FALL, FALLS_DIFFER = 0.3, 0.3
 """Fall of the logarithm of a wave's size with its frequency, per radian in `_UNIT_M`, and its sigma."""
-_UNIT_M = 0.1
+_UNIT_M = 0.1  # a hand's width
 _FINEST_M, _FINEST_HEIGHT_M = 0.095, 0.19  # half of the shortest wave: printers err over the width of a hand
 _ALONG = 0.25  # largest ratio of cross-axis to along-axis response for which outputs have print errors of their own
 _MOST_WAVES = 12  # along an axis

@@ -39,7 +39,7 @@ OFFSET, SHIFT, GROWTH, TURN, POINTING = slice(0, 3), slice(3, 5), slice(5, 6), s
 PARAMETERS = 11
 
 _STEPS = np.repeat([1e-5, 1e-2, 1e-5, 1e-5, 1e-2], [3, 2, 1, 3, 2])  # of central differences
-_ITERATIONS = 30
+_ITERATIONS = 30  # most steps of Gauss-Newton
 _STILL_ARCMIN = 1e-7  # change of the predicted clicks that ends the iteration
 _SETTLED = 0.01  # last change, in a click's scatter, that leaves a result: it adds 1 % of the error
 _NEAREST_M, _FARTHEST_M = 0.05, 100.0  # real points that a wearer clicks on; others are in another unit

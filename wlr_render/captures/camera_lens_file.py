@@ -70,9 +70,9 @@ KIND_OF_COUNT = {0: "brown", 4: "brown", 5: "brown", 8: "rational", 12: "thin-pr
 """Kind of lens by the number of OpenCV's distortion terms."""
 _TILTED = 14  # terms of OpenCV's tilted sensor model: "thin-prism" plus two angles
 _REMEDY = "give a file of a calibrated lens"
-_LONGEST_LIST = 100
-_MOST_NUMBERS = 200_000
-_DEEPEST = 30
+_LONGEST_LIST = 100  # most numbers of a list: no lens that is read has half as many
+_MOST_NUMBERS = 200_000  # most numbers of a file: spline lenses have some thousands
+_DEEPEST = 30  # deepest nesting: parsers of some formats recurse
 _NESTING = re.compile(r"[\[\]{}()]|</?[A-Za-z_][^<>]*(?<!/)>")
 _ASPECT = 3.0  # largest ratio of the focal lengths in x and y, for binned pixels
 _FOCAL = (0.02, 1000.0)  # focal length over the larger side of the picture

@@ -52,7 +52,7 @@ _BOXES = ("eye_box", "see_through_eye_box")
 _MOTION = tuple(each.name for each in fields(CaptureMotionPrior))
 _LENS = ("lens_orders", "lens_low", "lens_high", "lens_coefficients")
 _OF_TARGETS = ("target_pose", "target", "focus")
-_MOST_COLUMNS = 16
+_MOST_COLUMNS = 16  # most numbers of a row: axes of a stage, the widest column
 
 
 def save_captures(path: str | Path, captures: Captures) -> Path:

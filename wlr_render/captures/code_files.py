@@ -22,8 +22,8 @@ MANIFESTS = ("manifest.toml", "manifest.csv")
 _AXES = {"u": "u", "x": "u", "column": "u", "columns": "u", "v": "v", "y": "v", "row": "v", "rows": "v"}
 _ROLE = re.compile(r"[uv] (bit \d+( inverse)?|fringe .+ step \d+)")
 """Role of a picture of any code, other than white and black."""
-_LONGEST_S = 10_000.0
-_SAME_EXPOSURE = 1.02
+_LONGEST_S = 10_000.0  # longest exposure; a longer one is in another unit
+_SAME_EXPOSURE = 1.02  # largest ratio of exposures of one set: cameras round the time that they report
 _SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 
 

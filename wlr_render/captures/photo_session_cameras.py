@@ -14,7 +14,7 @@ from wlr_render.io.input_files import require_pixels
 from wlr_render.io.toml_files import Table, stated
 from wlr_render.numerics.arrays import FloatArray
 
-_MOST_SIGMA = 1e6
+_MOST_SIGMA = 1e6  # largest sigma: it says that nothing is known
 _SOURCES = ("intrinsics", "focal_px", "lens_file")
 
 

@@ -17,8 +17,8 @@ from wlr_render.io.delimited_text import STATED_SEPARATOR, is_number, with_comma
 from wlr_render.io.input_files import LIMITS, as_bad_input, decode_text, gunzip, read_bytes, shown
 from wlr_render.numerics.arrays import FloatArray
 
-_UNIT_TOLERANCE = 1e-3
-_LONGEST_LINE = 10_000
+_UNIT_TOLERANCE = 1e-3  # largest error of a unit vector's length: numbers of four digits
+_LONGEST_LINE = 10_000  # characters: a hundred columns of a hundred characters
 _UNIT_SUFFIX = re.compile(r"(_(mm|cm|m|um|inch|deg|rad|mrad|arcmin|px|s|ms|us|min|h))+$")
 
 

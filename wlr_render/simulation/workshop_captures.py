@@ -24,7 +24,7 @@ HALF_DIAGONAL_PX = 1600.0
 """Half the diagonal of the camera's picture, which reaches to the corners of the display's field: 5 megapixels."""
 _PANEL_S, _BOARD_S = 15.0, 10.0  # seconds of the panel's code, and of a move and a photograph of the board
 _LARGEST_BOARD_M = np.array([1.189, 0.841])  # A0
-_TILTS_DEG = np.array([[4.0, -6.0, 1.0], [-5.0, 4.0, -2.0], [6.0, 5.0, 3.0]])
+_TILTS_DEG = np.array([[4.0, -6.0, 1.0], [-5.0, 4.0, -2.0], [6.0, 5.0, 3.0]])  # boards set up by eye
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Prior, Sums, maximise, posterior
 from wlr_render.numerics.posterior import Posterior
 
-_ROUNDS, _HALVINGS = 15, 6
+_ROUNDS, _HALVINGS = 15, 6  # most rounds; most halvings of a step that leads uphill
 _ROUGH, _SETTLED = 1.0, 0.05  # step of the worst unknown, sigmas: sizes are then worth finding; and the fit has ended
 _SAME = 0.01  # relative change of sizes that ends the rounds: their standard errors are 5 % and more
 _FEATURES_CHANGE = 3.0  # factor by which features' size may change in one round: the fixed point overshoots at first

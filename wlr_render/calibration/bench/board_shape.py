@@ -17,7 +17,7 @@ from wlr_render.numerics.smooth_field import SmoothField
 BOARD_SHAPE = ("bow x", "bow y", "twist", "scale x", "scale y", "shear")
 """First unknowns of a board's shape: heights in metres, and relative errors of scale and of the right angle."""
 _HEIGHTS_M, _PRINT_M, _MOST_WAVES = 0.2, 0.1, 8  # shortest half waves of the fields; most along a side
-_MOST_ROWS = 100_000
+_MOST_ROWS = 100_000  # more than any board has: one number then codes column and row
 
 
 @dataclass(frozen=True, eq=False)

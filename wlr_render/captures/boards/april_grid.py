@@ -33,7 +33,7 @@ _LEAST_TAGS = 2  # one tag alone does not show the orientation in which the dict
 _GROWN = (1.0, 1.07, 1.14, 1.21)
 """Growth of a detected tag. The small squares touch the tags, so that OpenCV may detect the inner edge of a band along
 the border instead of the border."""
-_SUB_PIXEL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.05)
+_SUB_PIXEL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.05)  # steps, pixels: the corner fit refines them
 _CLEARLY = 3.0  # factor by which another order of the tags must fit better to be reported
 _FITTING = 0.02  # error of the right order of the tags without lens distortion, in sides of a tag
 _MOST_COLUMNS = 60  # most columns of boards whose orders are compared

@@ -20,11 +20,11 @@ _STRIP_MM = 12.0  # height of the strip below the board, for ruler and text
 _EDGE_MM = 5.0  # distance of the ruler from the left edge
 _RULER_TEXT_MM = 20.0  # width of the text to the right of the ruler
 _LEAST_WIDTH_MM = 50.0  # least width of the sheet, for the ruler and text of a tiny board
-_TICK_MM = 3.0
-_LINE_MM = 0.2
-_TEXT_MM = 3.0
+_TICK_MM = 3.0  # length of the ruler's ticks
+_LINE_MM = 0.2  # width of lines: every printer draws them
+_TEXT_MM = 3.0  # height of text, readable at arm's length
 _MM_PER_INCH = 25.4
-_MOST_PIXELS = 400_000_000
+_MOST_PIXELS = 400_000_000  # a sheet of A0 at 500 dots per inch
 
 
 @dataclass(frozen=True)

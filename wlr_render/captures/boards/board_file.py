@@ -26,7 +26,7 @@ from wlr_render.io.toml_files import Table, read_toml, write_toml
 KINDS = ("dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-circles")
 """Values of `kind`."""
 
-_LARGEST_PITCH_MM = 50.0
+_LARGEST_PITCH_MM = 50.0  # largest pitch of a screen's pixels; a video wall's is a tenth of it
 _LARGEST_CIRCLE = 0.85  # diameter over the distance of the nearest circles
 _PITCHES = {"chessboard": "square", "circles": "pitch", "asymmetric-circles": "pitch"}  # default margins by kind
 

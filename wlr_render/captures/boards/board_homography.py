@@ -5,7 +5,7 @@ import numpy as np
 
 from wlr_render.numerics.arrays import FloatArray
 
-_LEAST_POINTS = 4
+_LEAST_POINTS = 4  # points that determine a homography
 
 
 def by_homography(place: FloatArray, pixel: FloatArray, at: FloatArray, method: int = 0) -> FloatArray | None:

@@ -14,17 +14,17 @@ from scipy.special import erf
 
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
-_FIRST_BLUR_PX = 0.8
+_FIRST_BLUR_PX = 0.8  # blur from which the fit starts: a sharp photograph's
 _LEAST_BLUR_PX = 0.25  # least blur: the standard deviation of a square pixel is 0.29 px
 _REACH_PART = 0.42  # half width of the window, in cells
 _LEAST_REACH_PX, _LEAST_REACH_PART = 4.0, 0.7  # least half width, limited in cells to exclude other corners
 _MOST_REACH_PX = 8.0  # largest half width: beyond it, edges are curved
 _GUARD_BLURS = 2.5  # unread distance from another shape, in blurs
 _LEAST_MARGIN = 0.5  # least share of the margin that is read
-_STEPS = 20
-_CONVERGED_PX = 1e-4
+_STEPS = 20  # most steps of a fit; what takes more is no corner
+_CONVERGED_PX = 1e-4  # last step: a fiftieth of the error without noise
 _MOST_SHIFT_PART = 0.5  # largest shift of a fit in half widths of the window; a larger one is another feature
-_LEAST_PIXELS = 20
+_LEAST_PIXELS = 20  # fewest pixels of a fit, about twice its 11 unknowns
 _LEAST_CONTRAST = 3.0  # least half step from black to white, in standard deviations of a pixel
 _QUANTUM_VARIANCE = 1.0 / 12.0  # variance of rounding to whole grey values
 _MODEL_ERROR_PX = 0.005  # error without noise, from square pixels and curved edges

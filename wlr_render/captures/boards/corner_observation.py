@@ -14,7 +14,7 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _LEAST_FOR_OUTLIERS = 9  # fewest corners for a rejection; fewer do not show which of them is wrong
 _MOST_DEPARTURE = 0.1  # largest median distance of corners from their neighbours' prediction, in sides of a cell
-LEAST_CORNERS = 4
+LEAST_CORNERS = 4  # fewest corners that determine a pose
 
 
 def observe_corners(

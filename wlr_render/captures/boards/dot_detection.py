@@ -21,7 +21,7 @@ LEAST_AREA_PX = 8.0
 """Least area of a dot on the finest level."""
 _LEAST_AREA_BEYOND_PX = 60.0  # least area on coarser levels: the level before is better at smaller dots
 _FULLNESS = (0.8, 1.15)  # range of area over the area of the ellipse with the same second moments: 1 for any ellipse
-_LEAST_AXES_RATIO = 0.3
+_LEAST_AXES_RATIO = 0.3  # least ratio of a dot's axes: a board tilted by 70 degrees
 _OVER_NOISE = 4.0  # least depth of a dot, in usual differences of closing and picture
 _OVER_DEEPEST = 0.05  # least depth of a dot relative to the deepest dots
 

@@ -24,7 +24,7 @@ _GAP_NOISE = 2.0  # variance with one calculated step relative to all steps, mea
 _ASKED = 64  # pixels along each side of the picture that test the order of the steps
 
 _MIN_UNEXPLAINED = 0.02  # least residual mean square relative to the fringe for a test of the order
-_MAX_UNEXPLAINED = 0.3
+_MAX_UNEXPLAINED = 0.3  # largest such residual of a fringe: a third of its light is then another picture's
 _FOREIGN = 2.0  # residual of a foreign step over the mean of all steps; noise gives each the same residual
 _MAX_CONTRADICTING = 0.2  # largest share of the lit pixels that contradict
 _IMPROVED_BELOW = 0.6  # ratio of residuals below which another order is the true one

@@ -20,7 +20,7 @@ _CLEAR = 4.0  # least contrast of a lit pixel, in standard deviations
 _BEYOND = 0.05  # largest number of pixels out of range, relative to the lit ones
 _BOTH_WAYS = 0.2  # ratio of the areas in which either of two pictures is brighter, above which both are codes
 _STEADY_PX = 5  # width of windows whose mean has little noise
-_NOISE_WINDOW = 15
+_NOISE_WINDOW = 15  # side of windows over which noise is averaged: its sigma is then known to 5 %
 _ROUNDING = 2 / 12  # variance of the difference of two rounded values
 
 

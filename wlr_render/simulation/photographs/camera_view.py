@@ -25,8 +25,8 @@ from wlr_render.simulation.photographs.pixel_map import PixelMap
 Radiance = Callable[[Float32Array], NDArray[np.floating]]
 """Rays (h, w, 6) of some rows, away from the lens, NaN without light -> brightness (h, w) of the objects they meet."""
 
-PANEL_GAMMA = 2.2
-_PANEL_TOLERANCE_PX = 0.003
+PANEL_GAMMA = 2.2  # of most displays, close to sRGB
+_PANEL_TOLERANCE_PX = 0.003  # error of interpolation: below what decoding reads
 _WORLD_TOLERANCE = np.array([2e-7, 2e-7, 1e-6, 1e-6])  # metres in the pupil's plane, tangents
 _ROWS = 64  # rows of the picture at a time: intermediate results stay in the processor's cache
 _OFF_PANEL = -10.0  # a position whose nearest pixels are all outside the panel

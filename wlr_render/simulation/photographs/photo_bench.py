@@ -31,7 +31,7 @@ _BOARD_MARGIN = 1.15  # size of the board over that field at the farthest pose, 
 _LARGEST_BOARD_M = (1.189, 0.841)  # A0, the largest sheet of a plotter
 _PITCH_PX = 24.0  # pitch of the board at its farthest pose, camera pixels
 _EXPOSURE = 0.85  # exposure of a white panel: just below full scale
-_TRACKING_SNR = 60.0
+_TRACKING_SNR = 60.0  # signal-to-noise ratio of white, as of a camera of 8 bits in daylight
 _STAGE, _BOARD, _LENSES, _EXTRINSICS, _SENSORS = range(101, 106)  # streams of random numbers
 
 _CLEAR = np.linspace(-1.2, 1.2, 49)  # tangents that are searched for the edge of the optics

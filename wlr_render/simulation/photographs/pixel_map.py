@@ -16,8 +16,8 @@ from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 Exact = Callable[[FloatArray], tuple[FloatArray, BoolArray]]
 """Positions in the image (n, 2) -> the quantity (n, k) and a mask of light (n,). Values without light may be NaN."""
 
-_SPACING_PX = 16.0
-_STENCIL = 6
+_SPACING_PX = 16.0  # distance of the points that are traced
+_STENCIL = 6  # points of an interpolation: degree 5
 
 
 @dataclass(frozen=True, eq=False)

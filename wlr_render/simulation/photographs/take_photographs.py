@@ -19,7 +19,7 @@ from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.printed_board import PrintedBoard
 
-_SMALL_PX = 64
+_SMALL_PX = 64  # side of the small copy; glare has no finer shape
 _SPREAD = 0.1  # standard deviation of veiling glare, in sides of the picture
 _WIDEST_STEP_PX2 = 0.25  # variance that a kernel of 3 x 3 pixels can have without much ringing
 _DARK_ROOM = FarWall(brightness=0.03)  # background while the panel is photographed

@@ -11,9 +11,9 @@ from wlr_render.simulation.photographs.imperfections import BenchImperfections
 
 _DENOMINATOR = np.array([0.3, 0.2, 1.5])  # k4 to k6 times the corner's tangent to the power 2, 4 and 6
 _PRISM = np.array([1.0, -0.6, -0.8, 0.5])  # s1 to s4, times the powers 2 and 4 and a common factor
-_FISHEYE = np.array([-0.02, 0.006, -0.003, 0.0008])
-_GRID = (33, 27)
-_ROUNDS = 4
+_FISHEYE = np.array([-0.02, 0.006, -0.003, 0.0008])  # k1 to k4: some pixels beside an equidistant lens
+_GRID = (33, 27)  # points at which the distortion is fitted
+_ROUNDS = 4  # rounds in which field and distortion settle
 
 
 def true_lens(brown: LensCamera, sizes: BenchImperfections, rng: np.random.Generator) -> LensCamera:
