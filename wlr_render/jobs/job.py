@@ -32,6 +32,6 @@ def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
             if name not in _LISTING:
                 Kept(out, {"job": name})  # refuses a folder whose files a ledger lists
             report = function(*args, **kwargs)
-            return save_report(report, output_folder(out), report.stem) if report.stem else report
+            return save_report(report, output_folder(out)) if report.stem else report
 
     return run

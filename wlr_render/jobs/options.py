@@ -1,7 +1,7 @@
 """Options of jobs: a frozen dataclass each, whose fields state help text, unit, range and default once.
 
-The command line is generated from them, and they check themselves, so that a script and the terminal are refused the
-same values in the same words.
+The command line is generated from them and converts its text to their types; ranges and choices they check themselves,
+so that a script and the terminal are refused the same values in the same words.
 """
 
 import contextlib

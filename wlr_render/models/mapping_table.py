@@ -52,7 +52,7 @@ from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
+from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial, term_count, total_degree
 
 _DIGITS = 5  # significant digits of a spread's factors
 _LARGEST_SPREAD = 100.0  # largest plausible factor of a spread, radians or metres
@@ -209,8 +209,14 @@ def _polynomial(parent: Table, name: str, variables: int, outputs: int) -> Polyn
     if not terms:
         raise table.fail("'terms' is empty; write one term at least.")
     orders = _orders(table, np.array([term.row("orders", variables) for term in terms], dtype=np.float64))
+    if table.has("degree"):  # version 1
+        degree = table.whole("degree", most=HIGHEST_ORDER)
+        if len(terms) != term_count(variables, degree) or not np.array_equal(orders, total_degree(variables, degree)):
+            raise table.fail(
+                f"'terms' must be all {term_count(variables, degree)} of total degree up to {degree}, ordered by it "
+                "and by 'orders'."
+            )
     values = np.array([term.row("values", outputs) for term in terms], dtype=np.float64)
-    table.raw("degree")  # key of version 1
     table.finish()
     return Polynomial(orders, box, values)
 

@@ -41,14 +41,15 @@ class Provenance:
     inputs: tuple[InputFile, ...]
 
 
-def save_report(report: Report, folder: Path, stem: str = "report") -> Report:
-    """Write FOLDER/STEM.html, .md and .json, and return the report with these files added.
+def save_report(report: Report, folder: Path, stem: str = "") -> Report:
+    """Write FOLDER/STEM.html, .md and .json, by default with the report's own stem, and return it with these files.
 
     The JSON file has the fields of `report.record` in addition to the fields of every report.
 
     Raises:
         BadInputError: a file cannot be written.
     """
+    stem = stem or report.stem
     origin = provenance(report.inputs, folder)
     record = {
         "provenance": origin,

@@ -55,6 +55,21 @@ def test_errors_of_poses_are_as_large_as_their_sigmas(solved):
     assert 0.6 < rms(lenses) < 1.6
 
 
+def test_the_motion_between_two_visits_lacks_the_errors_that_both_share(solved):
+    bench, found = solved[0]
+    first = next(place for place in bench.true_places if place.startswith("sweep"))
+    assert not found.relative_motion(first, first)[1].any()
+    observations = found.state.observations
+    again = replace(observations, places={**observations.places, "again": observations.places[first]})
+    twice = replace(found, state=replace(found.state, observations=again))
+    apart = np.kron([[-1.0, 1.0]], np.eye(6))
+    independent = apart @ twice.camera_poses([first, "again"])[1] @ apart.T
+    shared = independent - twice.relative_motion(first, "again")[1]
+    screws = sum(key[0] == "screw" and key not in found.state.blocks for key in found.state.visit_motion(first))
+    assert screws > 0
+    assert np.trace(shared[3:, 3:]) == pytest.approx(2.0 * screws * found.sizes["screw"] ** 2, rel=0.01)
+
+
 def test_the_stage_is_as_good_as_it_is(solved):
     turn = np.exp(np.mean([np.log(found.sizes["turn"]) for _, found in solved]))
     shift = np.exp(np.mean([np.log(found.sizes["shift"]) for _, found in solved]))
@@ -160,7 +175,7 @@ def test_the_kind_of_lens_is_chosen_by_photographs_that_were_left_out():
 
 
 def test_more_terms_of_a_lens_never_predict_much_worse_than_fewer():
-    """A search for all terms at once got stuck here: eight terms missed by more than five."""
+    """A fit of all terms at once ends in a local minimum here: eight terms miss by more than five."""
     bench, rng = TrueBench(79, PERFECT), np.random.default_rng(79)
     terms = np.array([-0.2296, 0.5613, -2e-4, -1e-4, 1.43, -0.0444, 0.4438, 1.468])
     true = replace(bench.lens[EYEBALL], distortion=terms, kind="rational", focal_px=np.full(2, 450.0))
@@ -189,20 +204,21 @@ def test_photographs_of_another_board_are_rejected_by_name():
     assert list(found.rejected) == [wrong.name]
 
 
-def test_a_near_board_on_which_errors_of_the_print_show_is_compared_with_itself():
+@pytest.mark.parametrize("near_views", [2, 9])
+def test_errors_of_the_print_are_lengths_and_show_on_a_near_board(near_views):
     observations = thinned(TrueBench(8, PERFECT).observations(lens_photographs=6))
     views = [view for view in observations.views if view.camera == EYEBALL]
-    near = [view for view in views if view.target == 0]
-    assert 2 < len(near) < len(views) / 2
-    times = dict(zip([view.name for view in near], np.linspace(3.2, 4.4, len(near)), strict=True))
-    times[near[1].name] = 20.0  # blurred or misread: no print does this in one photograph of several
+    near = [view.name for view in views if view.target == 0][:near_views]
+    views = [view for view in views if view.target != 0 or view.name in near]
 
     def printed(view):
-        wave = np.stack([np.sin(2.0 * view.feature[:, 0]), np.cos(2.0 * view.feature[:, 1])], axis=1)
-        return replace(view, pixel=view.pixel + times.get(view.name, 0.0) * view.sigma_px[:, None] * wave)
+        wave_m = 1.2e-4 * np.stack([np.sin(2.0 * view.feature[:, 0]), np.cos(2.0 * view.feature[:, 1])], axis=1)
+        wave_m = wave_m * (10.0 if view.name == near[1] else 1.0)  # misread: no print does this in one photograph
+        point = view.point + np.column_stack([wave_m, np.zeros(len(wave_m))])
+        return replace(view, point=point, sigma_px=view.sigma_px * (1.0 if view.target == 0 else 2.0))
 
     found = sound_views(list(map(printed, views)), observations.cameras[EYEBALL], observations)
-    assert list(found.rejected) == [near[1].name]
+    assert list(found.rejected) == [near[1]]
 
 
 def test_a_target_that_nothing_places_is_refused():

@@ -81,6 +81,8 @@ def test_what_a_stage_and_its_warm_up_are_expected_to_do_is_no_motion():
         assert found.ok
         assert found.sigma == pytest.approx(0.2 * np.sqrt(2.0), rel=0.1)  # two axes across the line of sight
     assert not sweep_check(0, None, [replace(sound, motion=0.04 * turns)], LENS).ok
+    slipped = replace(repeated(moved_right(13.0), 0.03), device_from_target=AHEAD, motion=100.0 * turns)
+    assert sweep_check(0, None, [slipped], LENS).contradictory  # no stage of use is as bad as that
 
 
 def test_photographs_without_a_common_dot_show_nothing():

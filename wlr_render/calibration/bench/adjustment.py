@@ -70,6 +70,21 @@ class Adjustment:
             covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += each
         return poses, covariance
 
+    def relative_motion(self, one: str, other: str) -> tuple[FloatArray, FloatArray]:
+        """Return device_from_camera (2, 4, 4) at two places, and the covariance (6, 6) of the motion between them.
+
+        Small motions about the device's origin. Errors that both places share are not in it.
+        """
+        poses, rows, _ = self.camera_rows([one, other])
+        apart = rows[1] - rows[0]
+        covariance = apart @ self.covariance @ apart.T
+        own = [self._unmeasured(place) for place in (one, other)]
+        for pose, errors, shared in zip(poses, own, own[::-1], strict=True):
+            to_device = adjoint(pose)
+            for key in [key for key in errors if key not in shared]:
+                covariance += to_device @ errors[key] @ to_device.T
+        return poses, np.asarray(covariance)
+
     def camera_rows(self, places: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """How device_from_camera at places follows the unknowns.
 
@@ -87,17 +102,18 @@ class Adjustment:
                 row[:, self.layout.where[key]] = to_device @ columns
             poses.append(pose)
             rows.append(row)
-            own.append(to_device @ self._unmeasured(place) @ to_device.T)
+            unmeasured = sum(self._unmeasured(place).values(), np.zeros((6, 6)))
+            own.append(to_device @ unmeasured @ to_device.T)
         return np.array(poses), np.array(rows), np.array(own)
 
-    def _unmeasured(self, place: str) -> FloatArray:
-        """(6, 6) covariance, camera's frame, of the errors of one visit and of axis readings that no view measured."""
-        covariance = np.zeros((6, 6))
+    def _unmeasured(self, place: str) -> dict[Key, FloatArray]:
+        """(6, 6) covariances, camera's frame, of the errors of one visit and of axis readings that no view measured."""
+        found = {}
         for key, columns in self.state.visit_motion(place).items():
             if key not in self.state.blocks:
                 root = columns * (self.sizes.visit if key[0] == "offset" else self.sizes["screw"])
-                covariance += root @ root.T
-        return covariance
+                found[key] = root @ root.T
+        return found
 
     def camera_pose(self, place: str) -> Pose:
         """device_from_camera at a place, with its covariance."""

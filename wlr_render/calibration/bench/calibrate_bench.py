@@ -278,10 +278,11 @@ def _repeated_views(bench: CalibratedBench, reading: Reading) -> list[RepeatedVi
             lens = bench.adjustment.state.lens_at(target)
             pair = ((first, one), (last, other))
             views = [_board_view(session, p.name, s, EYEBALL, target).seen_by(lens) for p, s in pair]
-            poses, covariance = bench.adjustment.camera_poses([place_key(session, photo) for photo in (first, last)])
-            apart = np.kron([[-1.0, 1.0]], adjoint(transforms.inverse(poses[0])))
-            turned = poses[1][:3, :3].T @ poses[0][:3, :3]
-            motion, board = apart @ covariance @ apart.T, bench.adjustment.state.targets[target]
+            poses, covariance = bench.adjustment.relative_motion(
+                *(place_key(session, photo) for photo in (first, last))
+            )
+            to_camera, turned = adjoint(transforms.inverse(poses[0])), poses[1][:3, :3].T @ poses[0][:3, :3]
+            motion, board = to_camera @ covariance @ to_camera.T, bench.adjustment.state.targets[target]
             found.append(RepeatedView(target, poses[0], views[0], views[1], turned, motion, board))
     return found
 

@@ -80,6 +80,7 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
             raise RefusedViewsError(str(error), rejected) from error
     kept: list[BoardView] = []
     scales: list[float] = []
+    sigma_m: list[float] = []
     for view in (each.seen_by(lens) for each in usable):
         try:
             pose, scale = board_pose(lens, view)
@@ -90,13 +91,10 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
         near = residual.max(axis=1) <= _OUTLIER_SIGMAS * max(scale, 1.0)
         kept.append(view.only(near))
         scales.append(scale)
-    of_pose: dict[int | None, list[float]] = {}
-    for view, scale in zip(kept, scales, strict=True):
-        of_pose.setdefault(view.target, []).append(scale)
+        distance = float(np.linalg.norm(pose[:3, 3]))
+        sigma_m.append(float(np.median(view.sigma_px) / np.mean(lens.focal_px)) * distance)
     sound = []
-    for view, scale in zip(kept, scales, strict=True):
-        # Errors of the print move the features of a near board farther than those of a distant one.
-        usual = float(max(np.median(scales), np.median(of_pose[view.target])))
+    for view, scale, usual in zip(kept, scales, _usual_scales(np.array(scales), np.array(sigma_m)), strict=True):
         if len(kept) > 2 and scale > _POOR_FIT * usual:
             rejected[view.name] = (
                 f"its features miss the best pose of the board {scale / usual:.1f} times as far as those of the other "
@@ -107,6 +105,21 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
         else:
             sound.append(view)
     return SoundViews(_thinned(sound, _ENOUGH), lens, rejected, tried)
+
+
+def _usual_scales(scale: FloatArray, sigma_m: FloatArray) -> FloatArray:
+    """Return the scatter (n,) expected of each photograph, from all of them.
+
+    Errors of a printed board are lengths: they scatter the features of a near board more than those of a distant one.
+
+    Args:
+        scale: (n,) scatter found, over the stated sigma.
+        sigma_m: (n,) that sigma as a length on the board.
+    """
+    if not scale.size:
+        return scale
+    board_m = np.median(sigma_m * np.sqrt(np.maximum(scale**2 - 1.0, 0.0)))
+    return np.asarray(np.maximum(np.median(scale), np.hypot(1.0, board_m / sigma_m)))
 
 
 def _thinned(views: Sequence[BoardView], features: int) -> list[BoardView]:
@@ -184,13 +197,13 @@ def _chosen_lens(
     folds = [few[0::2], few[1::2]]
     if setup.kind != "auto" or min(map(len, folds)) < _FEWEST_VIEWS:
         kind = "brown" if setup.kind == "auto" else setup.kind
-        return free_views(few, setup, kind, observations).lens[camera], {}
+        return _lens_of_kind(few, setup, kind, observations), {}
     missed: dict[str, FloatArray] = {}
     lenses: dict[str, list[LensCamera]] = {}
     for kind in (*_KINDS, "thin-prism"):
         if kind == "thin-prism" and _simplest(missed) != "rational":
             continue
-        # A search for many terms at once gets stuck; from the lens of fewer terms it goes downhill.
+        # Fitting all terms at once may end in a local minimum: the fit starts from the lens with fewer terms.
         fewer = lenses.get(_FEWER.get(kind, ""), (None, None))
         starts = zip(folds, fewer, strict=True)
         try:
@@ -205,6 +218,17 @@ def _chosen_lens(
     rms = {kind: float(np.sqrt(np.mean(each))) for kind, each in missed.items()}
     chosen = _simplest(missed)
     return free_views(few, setup, chosen, observations, lenses[chosen][0]).lens[camera], rms
+
+
+def _lens_of_kind(
+    views: Sequence[BoardView], setup: CameraSetup, kind: str, observations: BenchObservations
+) -> LensCamera:
+    """Return a lens of a stated kind, from one with fewer terms where there is such a kind."""
+    fewer = _FEWER.get(kind)
+    first = None if fewer is None else _lens_of_kind(views, setup, fewer, observations)
+    lens = free_views(views, setup, kind, observations, first).lens[views[0].camera]
+    assert isinstance(lens, LensCamera)  # free views have no residual field
+    return lens
 
 
 def _simplest(missed: Mapping[str, FloatArray]) -> str:

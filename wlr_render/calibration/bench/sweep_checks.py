@@ -35,9 +35,9 @@ class RepeatedView:
         device_from_camera: (4, 4) of the eyeball camera.
         first, last: dots of the two; those that are in both are compared.
         last_from_first: (3, 3) known rotation of the camera between the two photographs, by its warm-up.
-        motion: (6, 6) covariance of its motion between them beside that, camera's frame: rotation (rad), translation
-            (m). A stage does not quite return, and a warm-up is not quite known.
-        device_from_target: (4, 4) of the board, for what such a motion displaces.
+        motion: (6, 6) covariance of the camera's motion between the photographs beyond `last_from_first`, camera frame:
+            rotation (rad), translation (m).
+        device_from_target: (4, 4) pose of the board; its distance converts the motion to arcminutes.
     """
 
     target: int
@@ -120,7 +120,7 @@ class _ViewChange:
     Attributes:
         names: of the two photographs.
         arcmin: rms displacement by the affine motion that fits the dots best, less the part of noise.
-        sigma_arcmin: its standard deviation, by noise and by what the stage is expected to do.
+        sigma_arcmin: its standard deviation, from noise and the expected motion of the stage.
         is_significant: whether it is certainly more than can be neglected.
         foreseen_arcmin: rms that the target's motion by the tracking camera would have made.
         follows: how much of that motion is in what is seen, 1 if all.
@@ -196,7 +196,8 @@ def _view_change(
     point, displaced, sigma_px, per_px = _common(view, camera)
     size, noise = _affine_part(point, displaced * per_px, sigma_px * per_px)
     sigma = float(np.hypot(noise, _expected_arcmin(view, point)))
-    certain = size > NEGLIGIBLE_ARCMIN + _CERTAIN * sigma
+    # No stage that can be used moves by what is refused, however badly the photographs say it repeats.
+    certain = size > min(NEGLIGIBLE_ARCMIN + _CERTAIN * sigma, REFUSED_ARCMIN + _CERTAIN * noise)
     change = _ViewChange((view.first.name, view.last.name), size, sigma, certain)
     if tracked is None or len(point) == 0:
         return change
@@ -224,7 +225,7 @@ def _expected_arcmin(view: RepeatedView, point: FloatArray) -> float:
     sight = seen / distance
     across = moved - sight[:, :, None] * np.einsum("nk,nkm->nm", sight, moved)[:, None]
     square = np.einsum("nkm,ml,nkl->n", across, view.motion, across) / distance[:, 0] ** 2
-    return float(np.sqrt(np.mean(square))) / ARCMIN
+    return float(np.sqrt(max(np.mean(square), 0.0))) / ARCMIN
 
 
 def _common(view: RepeatedView, camera: Lens) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -92,7 +92,7 @@ def _record(found: SessionCalibration) -> dict[str, Any]:
 
 
 def report_of(found: SessionCalibration, options: CalibrateOptions) -> Report:
-    """Write model.json, pictures and the report of a calibration."""
+    """Write model.json and pictures of a calibration, and return its report."""
     session, folder = found.session, output_folder(options.out)
     model, notes = save_models(folder, [each.fit for each in found.eyes.values()])
     models = [model]
