@@ -21,13 +21,13 @@ from wlr_render.geometry.lens import Lens
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
-_KINDS = ("brown", "fisheye", "rational")  # kinds by number of terms; thin prisms are tried where rational terms help
+_KINDS = ("brown", "fisheye", "rational")  # in order of preference; thin prisms are tried where rational terms help
 _FEWER = {"rational": "brown", "thin-prism": "rational"}  # kinds whose terms begin with those of another one
 _FEWEST_VIEWS = 3  # views of a plane that determine a camera (Zhang, IEEE PAMI 22 (2000), 1330)
 _CHOICE_FEATURES, _CHOICE_VIEWS = 100, 20  # enough to choose the kind of lens by
 _ENOUGH = 350  # features of a view: more cost time and tell little
 _OUTLIER_SIGMAS = 6.0  # robust sigmas from which a feature does not belong to the board: no noise is so large
-_POOR_FIT = 3.0  # scatter over the median photograph's from which one is rejected: it has 9 times the weight it should
+_POOR_FIT = 3.0  # scatter over what is expected of it from which one is rejected: it has 9 times the weight it should
 _MISREAD, _LENS_BENDS_PX = 10.0, 2.0
 """Distance from a plane's image over the median photograph's, and pixels, whose sum only misread features exceed: a
 lens bends all views, and some by pixels more."""
@@ -97,8 +97,8 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
     for view, scale, usual in zip(kept, scales, _usual_scales(np.array(scales), np.array(sigma_m)), strict=True):
         if len(kept) > 2 and scale > _POOR_FIT * usual:
             rejected[view.name] = (
-                f"its features miss the best pose of the board {scale / usual:.1f} times as far as those of the other "
-                "photographs; it is blurred, or misread, or the lens was changed"
+                f"its features miss the best pose of the board {scale / usual:.1f} times as far as expected from "
+                "the other photographs; it is blurred, or misread, or the lens was changed"
             )
         elif reason := _too_few(view):
             rejected[view.name] = reason
