@@ -200,7 +200,7 @@ def _check_header(table: Table) -> int:
         raise table.fail(f"is not a model file: its format is not '{FORMAT}'; name one that calibration wrote.")
     version = table.check_head(FORMAT, VERSION, oldest=1, remedy="calibrate again")
     if version == 2:
-        raise table.fail("has version 2, which no release wrote and this program does not read; calibrate again.")
+        raise table.fail("has version 2, which no release wrote; calibrate again.")
     table.text("package_version")
     table.text("frame", choices=["openxr"])
     units = table.table("units")
