@@ -1,5 +1,6 @@
 """Rough lenses and sound views of each camera: without outliers, the kind of lens chosen on held-out views."""
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -27,7 +28,7 @@ _FEWEST_VIEWS = 3  # views of a plane that determine a camera (Zhang, IEEE PAMI 
 _CHOICE_FEATURES, _CHOICE_VIEWS = 100, 20  # enough to choose the kind of lens by
 _ENOUGH = 350  # features of a view: more cost time and tell little
 _OUTLIER_SIGMAS = 6.0  # robust sigmas from which a feature does not belong to the board: no noise is so large
-_POOR_FIT = 3.0  # scatter over what is expected of it from which one is rejected: it has 9 times the weight it should
+_POOR_FIT = 3.0  # scatter over the expected one above which a photograph is rejected: it has 9 times its due weight
 _MISREAD, _LENS_BENDS_PX = 10.0, 2.0
 """Distance from a plane's image over the median photograph's, and pixels, whose sum only misread features exceed: a
 lens bends all views, and some by pixels more."""
@@ -223,9 +224,11 @@ def _chosen_lens(
 def _lens_of_kind(
     views: Sequence[BoardView], setup: CameraSetup, kind: str, observations: BenchObservations
 ) -> LensCamera:
-    """Return a lens of a stated kind, from one with fewer terms where there is such a kind."""
-    fewer = _FEWER.get(kind)
-    first = None if fewer is None else _lens_of_kind(views, setup, fewer, observations)
+    """Return a lens of a stated kind, fitted from the lens with fewer terms where the views determine one."""
+    first = None
+    if kind in _FEWER:
+        with contextlib.suppress(BadInputError, np.linalg.LinAlgError):
+            first = _lens_of_kind(views, setup, _FEWER[kind], observations)
     lens = free_views(views, setup, kind, observations, first).lens[views[0].camera]
     assert isinstance(lens, LensCamera)  # free views have no residual field
     return lens
