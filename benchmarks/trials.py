@@ -31,13 +31,8 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.simulate_captures import (
-    CaptureSetup,
-    SeeThroughRays,
-    simulate_display,
-    simulate_see_through,
-    with_camera_noise,
-)
+from wlr_render.simulation.capture_setup import CaptureSetup, SeeThroughRays
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through, with_camera_noise
 from wlr_render.work.progress import Progress
 from wlr_render.work.workers import WorkerPool, as_finished
 

@@ -10,7 +10,8 @@ from wlr_render.captures.correspondences import Captures
 from wlr_render.numerics.polynomial import Polynomial, basis
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 DEGREES = {3: 2, 5: 3}  # of the display, and of see-through beside it
 

@@ -21,8 +21,8 @@ from wlr_render.io import atomic_files, toml_files
 from wlr_render.report.blocks import Report
 from wlr_render.report.html import html_page
 from wlr_render.report.plots import curves
+from wlr_render.report.provenance import provenance
 from wlr_render.report.records import json_text
-from wlr_render.report.save import provenance
 from wlr_render.scene import image_files
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # imports in the order of the API reference
     from wlr_render.budget.error_map import ErrorMap as ErrorMap
     from wlr_render.budget.error_sizes import ErrorSizes as ErrorSizes
     from wlr_render.diagnosis.procedure import diagnose as diagnose
-    from wlr_render.diagnosis.diagnosis import Diagnosis as Diagnosis
+    from wlr_render.diagnosis.report import Diagnosis as Diagnosis
     from wlr_render.diagnosis.cause import Cause as Cause
     from wlr_render.scene.scene_file import load_scene as load_scene
     from wlr_render.draw.render_frame import render as render

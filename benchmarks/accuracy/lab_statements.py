@@ -11,7 +11,7 @@ from wlr_render.captures.feature_captures import REAL_POINT, CaptureMotionPrior,
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial
-from wlr_render.simulation.simulate_captures import CaptureSetup
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.workshop import ARM_M, SHIFT_UM, WOBBLE_URAD, Workshop
 from wlr_render.simulation.workshop_captures import HALF_DIAGONAL_PX, LabBoard, LabCamera
 

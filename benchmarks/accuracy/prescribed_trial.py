@@ -25,12 +25,8 @@ from wlr_render.mappings import EyeBox
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.simulate_captures import (
-    CaptureSetup,
-    simulate_display,
-    simulate_see_through,
-    with_camera_noise,
-)
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through, with_camera_noise
 
 SEE_THROUGH_PREDICTED = "see-through predicted (arcmin)"
 """A measure in addition to `Measure`: the standard error that the see-through model states."""

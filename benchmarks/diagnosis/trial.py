@@ -33,11 +33,11 @@ from wlr_render.bench.session_folder import load_session
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.noise import noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, CaptureName
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.report import Diagnosis
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.errors import BadInputError

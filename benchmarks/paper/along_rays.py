@@ -25,7 +25,7 @@ from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import DisplayMapping, SeeThroughMapping
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.simulation.simulate_captures import SeeThroughRays
+from wlr_render.simulation.capture_setup import SeeThroughRays
 
 
 class DepthMeasure(StrEnum):

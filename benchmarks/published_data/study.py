@@ -16,7 +16,6 @@ from benchmarks.published_data.procam_graycode import read_procam_graycode
 from benchmarks.published_data.two_view_tables import tables, verdict
 from benchmarks.published_data.viewpoint_evidence import viewpoint_evidence
 from wlr_render.bench.session_folder import save_session
-from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.code_files import CodeFiles
 from wlr_render.captures.correspondences import Captures, DisplayCaptures
 from wlr_render.captures.patterns.catalogue import GrayCode
@@ -148,7 +147,7 @@ def _procam_graycode(source: Path, out: Path, progress: Progress) -> Report:
 
 def _saved(out: Path, *eyes: DisplayCaptures) -> list[Path]:
     folder = output_folder(out)
-    return [save_captures(folder / f"captures-{each.eye}.npz", Captures(each, None)) for each in eyes]
+    return [Captures(each, None).save(folder / f"captures-{each.eye}.npz") for each in eyes]
 
 
 DATA_SETS: dict[DataSet, Callable[[Path, Path, Progress], Report]] = {

@@ -35,11 +35,8 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.simulation.simulate_captures import (
-    CaptureSetup,
-    simulate_display,
-    simulate_see_through,
-)
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 from wlr_render.warp.ray_map import RayMapPlan, middle_axes, solve_pixels
 
 DEPTHS_M = (0.25, 0.5, 1.0, 10.0)

@@ -26,7 +26,8 @@ from wlr_render.mappings import DisplayMapping, SeeThroughMapping
 from wlr_render.models.see_through_model import undeviated
 from wlr_render.optics.assembly import ASSEMBLY_NAMES
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 STRUCTURES = ("static", "volumetric", "planar")
 SHAPE = 0.002

@@ -22,7 +22,8 @@ from wlr_render.models.registration import right_and_up
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 from wlr_render.tracking.eye_model import RotatingEye
 
 MINUTES, SLIPS, MOST_CLICKS = 30.0, 3, 8

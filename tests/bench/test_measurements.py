@@ -13,7 +13,7 @@ from wlr_render.bench.measurements import load_measurements
 from wlr_render.bench.session_captures import captures_of
 from wlr_render.bench.session_folder import load_session, save_session
 from wlr_render.bench.simulate_session import simulate
-from wlr_render.captures.capture_file import load_observations, save_captures
+from wlr_render.captures.capture_file import load_observations
 from wlr_render.captures.correspondences import Captures
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.procedure import diagnose
@@ -22,7 +22,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rotation_about
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 SCALE_PERCENT = 0.4
 FEW = {name: CAUSES[name] for name in ("target_scale", "combiner_tilt", "camera_rotation")}
@@ -42,7 +43,7 @@ def printed(tmp_path_factory):
 def captures(printed, tmp_path_factory):
     """Capture file of the same session."""
     path = tmp_path_factory.mktemp("captures") / "captures-right.npz"
-    return save_captures(path, captures_of(*load_session(printed)))
+    return captures_of(*load_session(printed)).save(path)
 
 
 def assert_same_diagnosis(found, expected):
@@ -82,7 +83,7 @@ def repeated(tmp_path_factory):
     setup = CaptureSetup(truth, 0.25, 5e-6, grid=(9, 8), stage_turn_rad=20e-6)
     positions = setup.camera_positions("volumetric", 16)
     table = Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
-    return save_captures(tmp_path_factory.mktemp("repeated") / "captures-right.npz", table)
+    return table.save(tmp_path_factory.mktemp("repeated") / "captures-right.npz")
 
 
 def test_an_imperfect_stage_is_judged_alike_from_captures_and_from_a_session(repeated, tmp_path):
@@ -102,7 +103,7 @@ def test_the_bench_of_captures_predicts_what_exact_captures_hold(tmp_path):
         if turned is not None:
             each = turned if isinstance(turned, tuple) else (turned, turned)
             parts = [replace(part, device_from_camera=rotation) for part, rotation in zip(parts, each, strict=True)]
-        path = save_captures(tmp_path / "captures-right.npz", Captures(*parts))
+        path = Captures(*parts).save(tmp_path / "captures-right.npz")
         bench, session = load_measurements(path)
         predicted = simulate(bench, session.plan)
         np.testing.assert_allclose(predicted.panel_pixel, session.readings.panel_pixel, atol=1e-6)
@@ -125,7 +126,7 @@ def test_targets_that_are_not_flat_keep_their_shape(repeated, tmp_path):
     own = np.column_stack([seen.point[:, 1], -seen.point[:, 0], lifted[:, 2] - seen.point[:, 2]]) + [0.3, 0.0, 0.01]
     for target_point in (np.full(3, np.nan), own):
         changed = replace(seen, point=lifted, target_point=target_point)
-        path = save_captures(tmp_path / "captures-right.npz", Captures(shown, changed))
+        path = Captures(shown, changed).save(tmp_path / "captures-right.npz")
         bench, session = load_measurements(path)
         plan = session.plan.see_through
         assert plan.height.std() > 3e-4
@@ -156,7 +157,7 @@ def test_benches_and_devices_that_do_not_fit_are_refused(captures, printed, tmp_
     ):
         with pytest.raises(BadInputError, match=words):
             load_measurements(*arguments)
-    other = save_captures(tmp_path / "captures-right.npz", load_observations(captures).of_device("mine"))
+    other = load_observations(captures).of_device("mine").save(tmp_path / "captures-right.npz")
     with pytest.raises(BadInputError, match=r"is of 'mine', which is not a shipped device; name its presc"):
         load_measurements(other)
     assert load_measurements(other, None, "northstar")[0].device.name == "northstar"

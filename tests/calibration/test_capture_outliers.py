@@ -11,7 +11,8 @@ from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 
 @pytest.fixture(scope="module", params=["freeform40", "northstar"])

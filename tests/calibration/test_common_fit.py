@@ -13,7 +13,8 @@ from wlr_render.geometry.directions import ARCMIN
 from wlr_render.models.registration import UNSHARED, model_registration_covariance
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 SOURCES = ("stage", "stage", "targets")
 OFFSET_MM = np.array([0.0, 0.1, 0.2])

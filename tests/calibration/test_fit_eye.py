@@ -22,7 +22,8 @@ from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay, traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 CAPTURES = Captures(display_captures(positions_in_plane(12)), see_through_captures(positions_in_plane(12)))
 

@@ -16,7 +16,8 @@ from wlr_render.numerics.shared_noise import SharedNoise
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display
 
 SIGMA_ARCMIN = 1.0
 CAPTURES = 25

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.capture_checks import place_warnings
-from wlr_render.captures.capture_file import load_captures, load_observations, save_captures
+from wlr_render.captures.capture_file import load_captures, load_observations
 from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.errors import BadInputError
@@ -104,13 +104,13 @@ def assert_same(first, second):
     ids=["display", "both", "with motion"],
 )
 def test_captures_come_back_exactly(tmp_path, captures):
-    read = load_captures(save_captures(tmp_path / "eye.npz", captures))
+    read = load_captures(captures.save(tmp_path / "eye.npz"))
     assert_same(read, captures)
     assert np.isnan(read.display.time_s).all()
 
 
 def test_captures_come_back_with_what_was_recorded_and_all_colours(tmp_path):
-    path = save_captures(tmp_path / "eye.npz", Captures(RECORDED, SEE_THROUGH))
+    path = Captures(RECORDED, SEE_THROUGH).save(tmp_path / "eye.npz")
     shown, seen = load_observations(path).both
     assert_same(shown, RECORDED)
     assert np.isnan(seen.stage).all()
@@ -120,7 +120,7 @@ def test_captures_come_back_with_what_was_recorded_and_all_colours(tmp_path):
 
 @pytest.mark.parametrize("panel", [None, Panel(10, 8)])
 def test_targets_alone_come_back_with_the_panel_if_it_is_known(tmp_path, panel):
-    path = save_captures(tmp_path / "eye.npz", Captures(None, SEE_THROUGH, panel))
+    path = Captures(None, SEE_THROUGH, panel).save(tmp_path / "eye.npz")
     assert load_observations(path).panel == panel
     read = load_captures(path)
     assert read.display is None
@@ -159,7 +159,7 @@ def test_files_of_version_1_are_read(tmp_path, captures):
 
 def rewritten(tmp_path, header, arrays):
     """A capture file with some header keys or arrays replaced; an array of None is left out."""
-    path = save_captures(tmp_path / "eye.npz", WITH_MOTION)
+    path = WITH_MOTION.save(tmp_path / "eye.npz")
     with np.load(path) as archive:
         content = dict(archive)
     if "display_pixel" in arrays or "see_through_point" in arrays:
@@ -289,15 +289,15 @@ def test_visits_and_times_that_do_not_contradict_are_read(tmp_path, arrays):
 def test_points_in_kilometres_and_captures_numbered_by_row_are_refused(tmp_path):
     near = dataclasses.replace(SEE_THROUGH, point=SEE_THROUGH.viewpoint - [0, 0, 1e-3])
     with pytest.raises(BadInputError, match="real point 1 mm from its viewpoint"):
-        load_captures(save_captures(tmp_path / "near.npz", Captures(DISPLAY, near)))
+        load_captures(Captures(DISPLAY, near).save(tmp_path / "near.npz"))
     rows = np.zeros(2001, int)
     many = dataclasses.replace(select(DISPLAY, rows), capture=np.arange(2001), pixel=np.linspace([0, 0], [5, 4], 2001))
     with pytest.raises(BadInputError, match="'capture' has 2001 different numbers"):
-        load_captures(save_captures(tmp_path / "many.npz", Captures(many)))
+        load_captures(Captures(many).save(tmp_path / "many.npz"))
 
 
 def test_files_that_are_cut_short_foreign_or_absent(tmp_path):
-    path = save_captures(tmp_path / "eye.npz", Captures(DISPLAY))
+    path = Captures(DISPLAY).save(tmp_path / "eye.npz")
     path.write_bytes(path.read_bytes()[:700])
     with pytest.raises(BadInputError, match="cannot be read as a capture file"):
         load_captures(path)
@@ -316,7 +316,7 @@ def test_files_that_are_cut_short_foreign_or_absent(tmp_path):
 
 
 def test_rows_of_both_kinds_may_be_mixed_and_are_named_by_their_place_in_the_file(tmp_path):
-    path = save_captures(tmp_path / "eye.npz", Captures(RECORDED, SEE_THROUGH))
+    path = Captures(RECORDED, SEE_THROUGH).save(tmp_path / "eye.npz")
     with np.load(path) as archive:
         content = dict(archive)
     order = np.arange(40).reshape(2, 20).T.ravel()
@@ -333,7 +333,7 @@ def test_rows_of_both_kinds_may_be_mixed_and_are_named_by_their_place_in_the_fil
 
 def test_a_row_that_is_repeated_is_named(tmp_path):
     rows = np.append(np.arange(20), 3)
-    path = save_captures(tmp_path / "eye.npz", Captures(select(DISPLAY, rows)))
+    path = Captures(select(DISPLAY, rows)).save(tmp_path / "eye.npz")
     with pytest.raises(BadInputError, match="row 20 repeats row 3"):
         load_captures(path)
 
@@ -353,4 +353,4 @@ def test_more_rows_than_are_read_are_refused_before_they_take_memory(tmp_path):
 
 def test_other_suffixes_are_refused(tmp_path):
     with pytest.raises(BadInputError, match=r"must be named \*\.npz"):
-        save_captures(tmp_path / "eye.json", Captures(DISPLAY))
+        Captures(DISPLAY).save(tmp_path / "eye.json")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from wlr_render.captures.capture_file import load_captures, save_captures
+from wlr_render.captures.capture_file import load_captures
 from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, with_copies
 from wlr_render.captures.feature_captures import CommonErrors, point_terms
 from wlr_render.errors import BadInputError
@@ -103,7 +103,7 @@ def test_a_file_keeps_them(tmp_path, lens):
     shown, seen = (
         dataclasses.replace(each, common=dataclasses.replace(each.common, lens=lens)) for each in (DISPLAY, SEE_THROUGH)
     )
-    read = load_captures(save_captures(tmp_path / "captures.npz", Captures(shown, seen)))
+    read = load_captures(Captures(shown, seen).save(tmp_path / "captures.npz"))
     for before, after in ((shown, read.display), (seen, read.see_through)):
         assert after.common.sources == SOURCES
         assert (after.common.lens is None) == (lens is None)
@@ -117,7 +117,7 @@ def test_a_file_keeps_them(tmp_path, lens):
 
 @pytest.mark.parametrize("coefficients", [np.array(1e-6), np.zeros(6), np.zeros((6, 4))])
 def test_a_lens_of_other_shape_in_a_file_is_refused(tmp_path, coefficients):
-    path = save_captures(tmp_path / "captures.npz", Captures(DISPLAY, SEE_THROUGH))
+    path = Captures(DISPLAY, SEE_THROUGH).save(tmp_path / "captures.npz")
     with np.load(path) as archive:
         content = dict(archive)
     np.savez(path, **content | {"display_common_lens_coefficients": coefficients})

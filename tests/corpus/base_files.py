@@ -40,7 +40,6 @@ from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_drawing import write_board_png
 from wlr_render.captures.boards.board_file import save_board
-from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.patterns.catalogue import GrayCode
 from wlr_render.captures.photographs import write_photograph
@@ -63,7 +62,7 @@ def make_bases(folder: Path) -> Path:
     _write_meshes(folder)
     _write_photographs(folder)
     seen = captures(str(device))
-    save_captures(folder / "captures.npz", Captures(seen.display, seen.see_through))
+    Captures(seen.display, seen.see_through).save(folder / "captures.npz")
     fitted = calibrate(seen, "planar", 3, 2).mappings
     save_eye_models(folder / "model.json", [EyeModel(replace(fitted, name="fitted"), "no_optics")])
     _write_bench_session(folder / "bench")

@@ -9,7 +9,6 @@ from small_session import SIGMA_PX, measured, small_bench, small_plan
 from wlr_render.bench.bench_file import save_bench
 from wlr_render.bench.session_captures import captures_of
 from wlr_render.bench.session_folder import save_session
-from wlr_render.captures.capture_file import save_captures
 from wlr_render.cli import main
 from wlr_render.jobs.diagnose import DiagnoseOptions, diagnose
 
@@ -25,7 +24,7 @@ def observed():
 
 @pytest.mark.slow
 def test_a_capture_file_is_held_out_with_the_causes_that_are_named(observed, tmp_path):
-    captures = save_captures(tmp_path / "captures-right.npz", captures_of(observed.nominal, observed.session))
+    captures = captures_of(observed.nominal, observed.session).save(tmp_path / "captures-right.npz")
     options = DiagnoseOptions(captures, causes=("combiner_tilt", "panel_shift"), hold_out=True, out=tmp_path / "out")
     *_, held_out, values = diagnose(options).tables
     assert {row[0] for row in values.rows} == {"combiner_tilt"}

@@ -14,7 +14,7 @@ from wlr_render.jobs.demo import METHODS, DemoOptions, demo, judged_viewpoints, 
 from wlr_render.jobs.headset import open_eye
 from wlr_render.report.blocks import Picture, Plot
 from wlr_render.scene.image_files import read_png
-from wlr_render.simulation.simulate_captures import CaptureSetup
+from wlr_render.simulation.capture_setup import CaptureSetup
 
 
 def take_few_captures(patch, positions):

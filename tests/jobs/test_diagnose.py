@@ -18,7 +18,6 @@ from wlr_render.bench.bench_file import load_bench
 from wlr_render.bench.session_captures import captures_of
 from wlr_render.bench.session_folder import load_session, save_session
 from wlr_render.bench.simulate_session import dot_geometry, simulate
-from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.session import select_rows
 from wlr_render.cli import main
@@ -120,7 +119,7 @@ def test_captures_are_diagnosed_by_the_device_that_they_name(session, few_causes
     calibrated, out = tmp_path / "calibrated", tmp_path / "out"
     calibrated.mkdir()
     untimed = Captures(*(replace(each, time_s=np.nan) for each in captures_of(*load_session(session)).both))
-    save_captures(calibrated / "captures-right.npz", untimed)
+    untimed.save(calibrated / "captures-right.npz")
     status, printed = run(capsys, calibrated, "--device", "northstar", "--out", out)
     assert status == 0
     assert "Explained: printed size of the target (target_scale: scale_" in printed.out

@@ -17,7 +17,6 @@ from wlr_render.bench.bench import Mount, Target
 from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.bench.session_captures import captures_of
 from wlr_render.bench.session_folder import bench_for_session, load_session, save_session
-from wlr_render.captures.capture_file import save_captures
 from wlr_render.cli import main
 from wlr_render.diagnosis.bench_prediction import predict_session
 from wlr_render.diagnosis.causes import CAUSES
@@ -165,7 +164,7 @@ def test_misread_points_are_counted_and_do_not_decide(corrected, second):
 def test_captures_test_the_optics_of_the_bench_only(corrected, first, tmp_path, capsys):
     nominal, session = load_session(first)
     captures = captures_of(replace(nominal, target=load_bench(corrected / "bench.toml").target), session)
-    path = save_captures(tmp_path / "captures-right.npz", captures)
+    path = captures.save(tmp_path / "captures-right.npz")
     for bench, words in ((corrected, "need no correction"), (first, "does not predict the 90 captures")):
         status, printed = run(capsys, bench, path, "--out", tmp_path / "out")
         assert status == 0

@@ -10,7 +10,8 @@ from wlr_render.mappings import Eye, FieldOfView, Panel
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate, simulate_display, simulate_see_through
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate, simulate_display, simulate_see_through
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 from wlr_render.simulation.workshop import OF_NOISE, SWITCHES, Workshop, travel_of
 from wlr_render.simulation.workshop_captures import LabBoard, LabSweep
 

@@ -25,7 +25,6 @@ from wlr_render.calibration.photograph_captures import (
 )
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.capture_checks import far_from_eye_box
-from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet, PhotoSession
@@ -140,7 +139,7 @@ def calibrate_session(
         own = session.for_eye(eye)
         with _refusals(reading, found):
             captures, moved = sound_captures(own, reading, bench)
-        save_captures(folder / f"captures-{eye}.npz", captures)
+        captures.save(folder / f"captures-{eye}.npz")
         with _refusals(reading, found, moved):
             eyes[eye] = _fitted(own, captures, moved, fit)
     return found

@@ -9,9 +9,7 @@ in the header, and the arrays `display_common_capture`, `..._motion`, `..._targe
 see `CommonErrors`. Those of an exact lens, or without target poses, are omitted. Version 1 is still read.
 """
 
-import json
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.capture_checks import check_plausible
-from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, joined_column
+from wlr_render.captures.capture_writer import (
+    FORMAT,
+    LENS,
+    MOTION,
+    OF_TARGETS,
+    OPTIONAL,
+    ROWS,
+    UNITS,
+    VERSION,
+    file_columns,
+)
+from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.feature_captures import (
     PANEL_PIXEL,
     REAL_POINT,
@@ -27,68 +36,20 @@ from wlr_render.captures.feature_captures import (
     CommonErrors,
     FeatureCaptures,
     column_of,
-    columns_of,
     rows_of,
 )
 from wlr_render.errors import BadInputError
-from wlr_render.io.atomic_files import write_arrays
-from wlr_render.io.file_records import read_part, record_keys
+from wlr_render.io.file_records import read_part
 from wlr_render.io.input_files import LIMITS, prefix_errors, read_arrays
 from wlr_render.io.toml_files import Table, parse_json
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
 
-FORMAT = "wlr-captures"
-VERSION = 2
-_UNITS = {"length": "m", "sigma": "arcmin", "pixel": "px"}
-_ROWS = columns_of(FeatureCaptures)
-_FIRST = 2  # columns before `feature` in a file
-_OPTIONAL = _ROWS[_ROWS.index("visit") :]
-_COLUMNS = (*_ROWS[:_FIRST], "feature", *_ROWS[_FIRST:])
 _SIDES = ("display", "see_through")
 _OF_VERSION_1 = ("viewpoint", "view_dir", "capture", "sigma_arcmin")
 _Sides = dict[str, dict[str, Any]]
 _BOXES = ("eye_box", "see_through_eye_box")
-_MOTION = tuple(each.name for each in fields(CaptureMotionPrior))
-_LENS = ("lens_orders", "lens_low", "lens_high", "lens_coefficients")
-_OF_TARGETS = ("target_pose", "target", "focus")
 _MOST_COLUMNS = 16  # most numbers of a row: axes of a stage, the widest column
-
-
-def save_captures(path: str | Path, captures: Captures) -> Path:
-    """Write a capture file atomically; the name must end in .npz."""
-    if Path(path).suffix != ".npz":
-        raise BadInputError(f"{path}: a capture file must be named *.npz.")
-    panel, source = captures.panel, captures.source
-    header: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "frame": "openxr",
-        "units": _UNITS,
-        "device": source.device,
-        "eye": source.eye,
-        "panel": None if panel is None else record_keys(panel),
-        "eye_box": record_keys(source.eye_box),
-        "see_through_eye_box": None if captures.see_through is None else record_keys(captures.see_through.eye_box),
-    }
-    columns = _table(captures)
-    arrays = {name: values for name, values in columns.items() if name not in _OPTIONAL or _is_recorded(values)}
-    sides = {name: side for name in _SIDES if (side := getattr(captures, name)) is not None}
-    for name, side in sides.items():
-        if side.motion is not None:
-            arrays |= {f"{name}_motion_{part}": np.asarray(getattr(side.motion, part)) for part in _MOTION}
-    for name, side in sides.items():
-        if side.common is not None:
-            header["common_sources"] = side.common.sources
-            arrays |= {f"{name}_common_{part}": values for part, values in _common_arrays(side.common)}
-    return write_arrays(path, {"header": np.array(json.dumps(header))} | arrays)
-
-
-def _table(captures: Captures) -> dict[str, NDArray[Any]]:
-    """Return the columns of a file by their names, first the rows of the panel."""
-    kinds = [np.full(len(part), part.kind) for part in captures.parts]
-    columns = {name: joined_column(name, [getattr(part, name) for part in captures.parts]) for name in _COLUMNS}
-    return {"kind": np.concatenate(kinds)} | columns
 
 
 def load_captures(path: str | Path) -> Captures:
@@ -116,7 +77,7 @@ def load_observations(path: str | Path) -> Captures:
         }
         columns = {} if header.whole("version", 1) == 1 else _columns(arrays)
         captures = _captures(header, boxes, _sides(columns) if columns else _sides_of_version_1(arrays), arrays)
-        check_plausible(captures, columns or _table(captures), boxes)
+        check_plausible(captures, columns or file_columns(captures.parts), boxes)
     return captures
 
 
@@ -136,8 +97,8 @@ def _columns(arrays: _Arrays) -> dict[str, NDArray[Any]]:
     if not np.isin(rows_of("kind", kind, (count,)), (PANEL_PIXEL, REAL_POINT)).all():
         raise BadInputError(f"captures: 'kind' must be {PANEL_PIXEL} (panel pixel) or {REAL_POINT} (real point).")
     columns = {"kind": kind, "feature": rows_of("feature", arrays["feature"], (count, 3), finite=False)}
-    for name in _ROWS:
-        if name not in _OPTIONAL or name in arrays:
+    for name in ROWS:
+        if name not in OPTIONAL or name in arrays:
             columns[name] = column_of(FeatureCaptures, name, arrays[name], count)
     return columns
 
@@ -145,7 +106,7 @@ def _columns(arrays: _Arrays) -> dict[str, NDArray[Any]]:
 def _sides(columns: Mapping[str, NDArray[Any]]) -> _Sides:
     """Return the columns of the captures of each side that a file has."""
     rows, feature = columns["kind"] == PANEL_PIXEL, columns["feature"]
-    of_all = {name: values for name, values in columns.items() if name in _ROWS}
+    of_all = {name: values for name, values in columns.items() if name in ROWS}
     display = {name: values[rows] for name, values in of_all.items() if not name.startswith("target")}
     see_through = {name: values[~rows] for name, values in of_all.items()}
     sides = {"display": display | {"pixel": feature[rows, :2]}, "see_through": see_through | {"point": feature[~rows]}}
@@ -189,28 +150,18 @@ def _captures(
 def _bench(arrays: _Arrays, side: str, sources: tuple[str, ...]) -> dict[str, Any]:
     """Return the prior of motions and the common errors of a side; missing ones are left out."""
     known: dict[str, Any] = {}
-    if any(f"{side}_motion_{part}" in arrays for part in _MOTION):
-        motion: dict[str, Any] = {part: arrays[f"{side}_motion_{part}"] for part in _MOTION}
+    if any(f"{side}_motion_{part}" in arrays for part in MOTION):
+        motion: dict[str, Any] = {part: arrays[f"{side}_motion_{part}"] for part in MOTION}
         known["motion"] = CaptureMotionPrior(**motion)
     if sources and f"{side}_common_motion" in arrays:
         known["common"] = _common(arrays, f"{side}_common", sources)
     return known
 
 
-def _common_arrays(common: CommonErrors) -> list[tuple[str, NDArray[Any]]]:
-    """Return the arrays of common errors by their names in a file."""
-    arrays: list[tuple[str, NDArray[Any]]] = [("capture", common.capture), ("motion", common.motion)]
-    if len(common.target_pose):
-        arrays += [(name, getattr(common, name)) for name in _OF_TARGETS]
-    if (lens := common.lens) is not None:
-        arrays += zip(_LENS, (lens.orders, lens.box.low, lens.box.high, lens.coefficients), strict=True)
-    return arrays
-
-
 def _common(arrays: _Arrays, name: str, sources: tuple[str, ...]) -> CommonErrors:
     lens = None
     if f"{name}_lens_coefficients" in arrays:
-        orders, low, high, coefficients = (arrays[f"{name}_{part}"] for part in _LENS)
+        orders, low, high, coefficients = (arrays[f"{name}_{part}"] for part in LENS)
         shapes, terms = (orders.shape, low.shape, high.shape, coefficients.shape), len(np.atleast_1d(coefficients))
         if shapes != ((terms, 2), (2,), (2,), (terms, 2 * len(sources))):
             raise BadInputError(f"'{name}_lens_...' have shapes that do not fit; write the file again.")
@@ -221,12 +172,8 @@ def _common(arrays: _Arrays, name: str, sources: tuple[str, ...]) -> CommonError
         lens = Polynomial(orders.astype(np.int64), Box(low, high), np.asarray(coefficients, np.float64))
     given: dict[str, Any] = {part: arrays[f"{name}_{part}"] for part in ("capture", "motion")}
     if f"{name}_target_pose" in arrays:
-        given |= {part: arrays[f"{name}_{part}"] for part in _OF_TARGETS}
+        given |= {part: arrays[f"{name}_{part}"] for part in OF_TARGETS}
     return CommonErrors(sources, **given, lens=lens)
-
-
-def _is_recorded(values: NDArray[Any]) -> bool:
-    return bool(np.any(values >= 0) if np.issubdtype(values.dtype, np.integer) else np.isfinite(values).any())
 
 
 def _check_sizes(arrays: _Arrays) -> None:
@@ -250,6 +197,6 @@ def _header(arrays: _Arrays, path: str | Path) -> Table:
     content = parse_json(path, text, "a capture file with a JSON 'header'", "write it again")
     header = Table({key: value for key, value in content.items() if value is not None}, str(path))
     header.check_head(FORMAT, VERSION, oldest=1)
-    if content.get("frame") != "openxr" or content.get("units") != _UNITS:
-        raise BadInputError(f"{path}: must be in frame 'openxr' with units {_UNITS}; convert it.")
+    if content.get("frame") != "openxr" or content.get("units") != UNITS:
+        raise BadInputError(f"{path}: must be in frame 'openxr' with units {UNITS}; convert it.")
     return header

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.captures.capture_writer import joined_column, write_captures
 from wlr_render.captures.feature_captures import (
     PANEL_PIXEL,
     REAL_POINT,
@@ -158,9 +159,7 @@ class Captures:
         Raises:
             BadInputError: another suffix, or a file that cannot be written.
         """
-        from wlr_render.captures.capture_file import save_captures  # imports this module
-
-        return save_captures(path, self)
+        return write_captures(path, self.parts, self.panel)
 
     def _repr_html_(self) -> str:
         return summary_of(self.parts)
@@ -188,14 +187,6 @@ def concatenate(parts: Sequence[AnyCaptures]) -> AnyCaptures:
     for name in ("motion", "common"):
         joined[name] = next((value for part in parts if (value := getattr(part, name)) is not None), None)
     return replace(parts[0], **joined)
-
-
-def joined_column(name: str, parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return the parts of a column as one; stages with fewer axes are filled with NaN."""
-    if name == "stage":
-        width = max(part.shape[1] for part in parts)
-        parts = [np.pad(part, ((0, 0), (0, width - part.shape[1])), constant_values=np.nan) for part in parts]
-    return np.concatenate(parts)
 
 
 def with_copies(captures: AnyCaptures, rows: IntArray, position: IntArray) -> AnyCaptures:

@@ -1,8 +1,6 @@
 """The record of a diagnosis: verdict, causes with values and evidence, what stays unexplained, the corrected bench."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.fit import Fit
@@ -12,11 +10,7 @@ from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.html_summary import html_summary
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from wlr_render.diagnosis.residual_views import PartView
 
 NO_EFFECT, EXPLAINED, LOCATED = "no effect", "explained", "effect located"
 PARTLY, UNEXPLAINED = "partly explained", "unexplained"
@@ -269,10 +263,8 @@ class MotionSize:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """The result of `diagnose`: verdict, causes with values and evidence, what stays unexplained, the corrected bench.
-
-    `print` shows the verdict and what to do; notebooks show tables.
+class DiagnosisRecord:
+    """Verdict, causes with values and evidence, what stays unexplained, and the corrected bench.
 
     Attributes:
         session, device, eye: names.
@@ -334,57 +326,12 @@ class Diagnosis:
     fit: Fit = field(metadata={"json": False})
     settings: Settings = field(metadata={"json": False})
 
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write diagnosis.html, .md and .json and, if something is corrected, the session `corrected`.
-
-        Returns:
-            The files of the report, and the folder of the corrected session.
-
-        Raises:
-            BadInputError: the folder cannot be written, or holds other things than a diagnosis in `corrected`.
-        """
-        from wlr_render.diagnosis.report import save_diagnosis  # imports this module
-
-        return save_diagnosis(self, folder)
-
     @property
     def is_corrected(self) -> bool:
         """True if causes, or effects that a bench file can state, correct the nominal bench."""
         return self.corrected is not self.observations.nominal
 
     @property
-    def advice(self) -> list[str]:
-        """Next steps, most urgent first; each a sentence."""
-        from wlr_render.diagnosis.verdict_sentences import advice  # imports this module
-
-        return advice(self)
-
-    @property
-    def values_to_type(self) -> list[str]:
-        """Lines that make bench.toml describe the corrected bench, except its device."""
-        from wlr_render.diagnosis.verdict_sentences import values_to_type  # imports this module
-
-        return values_to_type(self)
-
-    @property
-    def residual_views(self) -> "list[PartView]":
-        """Residuals of each part of the session against each variable, as the report plots them."""
-        from wlr_render.diagnosis.residual_views import part_views  # imports this module
-
-        return part_views(self)
-
-    @property
     def title(self) -> str:
         """Title of the report."""
         return f"Diagnosis of {self.session} ({self.device}, {self.eye} eye)"
-
-    def __str__(self) -> str:
-        from wlr_render.diagnosis.verdict_sentences import verdict_sentence  # imports this module
-
-        return "\n".join([verdict_sentence(self), *(f"{n}. {step}" for n, step in enumerate(self.advice, 1))])
-
-    def _repr_html_(self) -> str:
-        from wlr_render.diagnosis.tables import causes_table, residuals_table  # imports this module
-
-        tables = [each.summary for each in (residuals_table(self), causes_table(self)) if each.rows]
-        return html_summary(self.title, str(self).splitlines(), tables)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr, ndtri
 
-from wlr_render.diagnosis.diagnosis import Diagnosis, StationEffect
+from wlr_render.diagnosis.diagnosis import DiagnosisRecord, StationEffect
 from wlr_render.diagnosis.effect_findings import STATIONS
 from wlr_render.diagnosis.residual_views import PartView, Variable
 from wlr_render.numerics.arrays import FloatArray, IntArray
@@ -192,7 +192,7 @@ def binned(variable: Variable, residual: FloatArray, part: PartView) -> BinnedRe
     )
 
 
-def normality_plot(diagnosis: Diagnosis) -> Plot:
+def normality_plot(diagnosis: DiagnosisRecord) -> Plot:
     """Plot a histogram of the whitened residual, and a Q-Q plot against the normal distribution."""
     values = diagnosis.fit.residual.ravel()
     counts, _ = np.histogram(values, _HISTOGRAM)
@@ -246,7 +246,7 @@ def captures_plot(
     return Plot("Residual of each capture", data, layout, caption, 340)
 
 
-def correlations_plot(diagnosis: Diagnosis) -> Plot:
+def correlations_plot(diagnosis: DiagnosisRecord) -> Plot:
     """Plot the correlations between the fitted values."""
     found = diagnosis.correlations
     data = [

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.diagnosis.diagnosis import Diagnosis
+from wlr_render.diagnosis.diagnosis import DiagnosisRecord
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.held_out import held_out_residual, jackknife
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH
@@ -39,7 +39,7 @@ class HeldOutResidual:
     noise: float
 
 
-def with_held_out(report: Report, found: Diagnosis) -> Report:
+def with_held_out(report: Report, found: DiagnosisRecord) -> Report:
     """Add the predictions of left-out captures and distances to a report."""
     if not found.causes:
         nothing = (
@@ -54,7 +54,7 @@ def with_held_out(report: Report, found: Diagnosis) -> Report:
     return replace(report, verdict=verdict, blocks=blocks)
 
 
-def _residuals(diagnosis: Diagnosis) -> list[HeldOutResidual]:
+def _residuals(diagnosis: DiagnosisRecord) -> list[HeldOutResidual]:
     """Return the residuals of each capture by the fit to all others, then of target distances held out or alone."""
     readings, predictor = diagnosis.readings, diagnosis.readings.predictor
     observations, before = readings.observations, predictor.residual(Explanation())
@@ -101,7 +101,7 @@ def _sentences(residuals: Sequence[HeldOutResidual]) -> Iterator[str]:
         )
 
 
-def _table(diagnosis: Diagnosis, residuals: Sequence[HeldOutResidual]) -> ReportTable:
+def _table(diagnosis: DiagnosisRecord, residuals: Sequence[HeldOutResidual]) -> ReportTable:
     """Return the residuals of held-out readings by the bench as described and as corrected."""
     acting = "; ".join(f"{cause.name}, {cause.variant}" for cause in diagnosis.causes)
     captures = ", ".join(str(moved.capture) for moved in diagnosis.excluded) or "no capture"
@@ -124,7 +124,7 @@ def _table(diagnosis: Diagnosis, residuals: Sequence[HeldOutResidual]) -> Report
     )
 
 
-def _values(diagnosis: Diagnosis) -> ReportTable:
+def _values(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the values found, with the standard errors of the fit and of leaving out each capture in turn."""
     fitted = diagnosis.fit
     causes = [hypothesis.cause for hypothesis in fitted.explanation.hypotheses]

@@ -23,7 +23,6 @@ from wlr_render.diagnosis.diagnosis import (
     NO_EFFECT,
     PARTLY,
     UNEXPLAINED,
-    Diagnosis,
     FoundCause,
     StationEffect,
     Unexplained,
@@ -46,6 +45,7 @@ from wlr_render.diagnosis.noise import SIGNIFICANT_SE, Noise, NoiseFloor, measur
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
 from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.diagnosis.report import Diagnosis
 from wlr_render.diagnosis.screening import hypotheses
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.station_fields import station_fields

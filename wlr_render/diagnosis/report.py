@@ -2,18 +2,19 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from wlr_render.bench.session_folder import remove_session, save_session
 from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis import tables, verdict_sentences
-from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ResidualSummary
+from wlr_render.diagnosis.diagnosis import DiagnosisRecord, FoundCause, ResidualSummary
 from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
 from wlr_render.diagnosis.report_warnings import warnings
-from wlr_render.diagnosis.residual_views import part_views
+from wlr_render.diagnosis.residual_views import PartView, part_views
 from wlr_render.diagnosis.verdict_sentences import bench_sentence
+from wlr_render.html_summary import html_summary
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.report.blocks import Block, Plot, Report, ReportTable, Section, Text, capitalised
 from wlr_render.report.records import fields_of
@@ -25,7 +26,52 @@ STEM = "diagnosis"
 """Start of the names of the report's files."""
 
 
-def diagnosis_record(diagnosis: Diagnosis, in_use: ImprovementInUse | None = None) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class Diagnosis(DiagnosisRecord):
+    """The result of `diagnose`: its record, advice, and report; attributes as in `DiagnosisRecord`.
+
+    `print` shows the verdict and what to do; notebooks show tables.
+    """
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write diagnosis.html, .md and .json and, if something is corrected, the session `corrected`.
+
+        Returns:
+            The files of the report, and the folder of the corrected session.
+
+        Raises:
+            BadInputError: the folder cannot be written, or holds other things than a diagnosis in `corrected`.
+        """
+        folder = output_folder(folder)
+        files = write_corrected(folder / CORRECTED, self)
+        report = diagnosis_report(self, improvement_found(self), folder=folder)
+        return list(save_report(replace(report, files=files), folder, STEM).files)
+
+    @property
+    def advice(self) -> list[str]:
+        """Next steps, most urgent first; each a sentence."""
+        return verdict_sentences.advice(self)
+
+    @property
+    def values_to_type(self) -> list[str]:
+        """Lines that make bench.toml describe the corrected bench, except its device."""
+        return verdict_sentences.values_to_type(self)
+
+    @property
+    def residual_views(self) -> list[PartView]:
+        """Residuals of each part of the session against each variable, as the report plots them."""
+        return part_views(self)
+
+    def __str__(self) -> str:
+        sentence = verdict_sentences.verdict_sentence(self)
+        return "\n".join([sentence, *(f"{n}. {step}" for n, step in enumerate(self.advice, 1))])
+
+    def _repr_html_(self) -> str:
+        shown = [each.summary for each in (tables.residuals_table(self), tables.causes_table(self)) if each.rows]
+        return html_summary(self.title, str(self).splitlines(), shown)
+
+
+def diagnosis_record(diagnosis: DiagnosisRecord, in_use: ImprovementInUse | None = None) -> dict[str, Any]:
     """Return the record for the JSON file.
 
     Scripts of others read these keys, which stay as they are: `verdict`, `causes` (`name`, `parameters` by name,
@@ -68,7 +114,7 @@ def _residual_record(residual: ResidualSummary, noise: ResidualSummary) -> dict[
 
 
 def diagnosis_report(
-    diagnosis: Diagnosis,
+    diagnosis: DiagnosisRecord,
     in_use: ImprovementInUse | None = None,
     inputs: tuple[Path, ...] = (),
     folder: Path = Path(),
@@ -116,7 +162,7 @@ def diagnosis_report(
     )
 
 
-def _captures(diagnosis: Diagnosis) -> Plot:
+def _captures(diagnosis: DiagnosisRecord) -> Plot:
     rms = {"bench as described": [each.rms_before for each in diagnosis.captures]}
     if diagnosis.is_corrected:
         rms["corrected bench"] = [each.rms_after for each in diagnosis.captures]
@@ -125,7 +171,7 @@ def _captures(diagnosis: Diagnosis) -> Plot:
     return plots.captures_plot([each.capture for each in diagnosis.captures], rms, caption, excluded)
 
 
-def _next_steps(diagnosis: Diagnosis, folder: Path, add_causes: Sequence[str]) -> list[Block]:
+def _next_steps(diagnosis: DiagnosisRecord, folder: Path, add_causes: Sequence[str]) -> list[Block]:
     """Return commands to go on with the corrected session, for the working directory of this run."""
     if not diagnosis.is_corrected:
         return []
@@ -144,15 +190,7 @@ def _next_steps(diagnosis: Diagnosis, folder: Path, add_causes: Sequence[str]) -
     return [Text(text, [f"wlr-render {shlex.join(command)}" for command in commands])]
 
 
-def save_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
-    """Write the report of a diagnosis and, if something is corrected, the corrected session; see `Diagnosis.save`."""
-    folder = output_folder(folder)
-    files = write_corrected(folder / CORRECTED, diagnosis)
-    report = diagnosis_report(diagnosis, improvement_found(diagnosis), folder=folder)
-    return list(save_report(replace(report, files=files), folder, STEM).files)
-
-
-def improvement_found(diagnosis: Diagnosis) -> ImprovementInUse | None:
+def improvement_found(diagnosis: DiagnosisRecord) -> ImprovementInUse | None:
     """Return the improvement in use on the readings that count; None without causes."""
     if not diagnosis.causes:
         return None
@@ -160,7 +198,7 @@ def improvement_found(diagnosis: Diagnosis) -> ImprovementInUse | None:
     return improvement_in_use(diagnosis.observations.nominal, diagnosis.corrected, session)
 
 
-def write_corrected(folder: Path, diagnosis: Diagnosis) -> list[Path]:
+def write_corrected(folder: Path, diagnosis: DiagnosisRecord) -> list[Path]:
     """Write the corrected bench with the readings that count, as a session; an earlier diagnosis's is removed."""
     if folder.is_dir():
         remove_session(folder)

@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 
-from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ParameterValue
+from wlr_render.diagnosis.diagnosis import DiagnosisRecord, FoundCause, ParameterValue
 from wlr_render.diagnosis.fit import times_between_captures
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME
 from wlr_render.diagnosis.settings import Settings
@@ -23,7 +23,7 @@ _ORDINARY_UM, _ORDINARY_URAD = 30.0, 100.0
 _DIFFER, _TWICE = 3.0, 2.0  # standard errors of two parts' repeatabilities, and the ratio, from which they differ
 
 
-def warnings(diagnosis: Diagnosis) -> list[str]:
+def warnings(diagnosis: DiagnosisRecord) -> list[str]:
     """Return the limits of the result; each a sentence."""
     found, settings = _noise_to_state(diagnosis), diagnosis.settings
     found += [_confusable(cause, settings) for cause in diagnosis.causes if cause.degenerate]
@@ -48,7 +48,7 @@ def warnings(diagnosis: Diagnosis) -> list[str]:
     return [*found, *_about_repeatability(diagnosis), *_too_few(diagnosis)]
 
 
-def _about_repeatability(diagnosis: Diagnosis) -> list[str]:
+def _about_repeatability(diagnosis: DiagnosisRecord) -> list[str]:
     """Return warnings of a repeatability worse than an ordinary stage's, and of parts that repeat differently."""
     sentences, unknown = [], undetermined_parts(diagnosis)
     motions = [motion for motion in diagnosis.motions if motion.part not in unknown]
@@ -73,12 +73,14 @@ def _about_repeatability(diagnosis: Diagnosis) -> list[str]:
     return sentences
 
 
-def stated_prior(diagnosis: Diagnosis, cause: FoundCause, parameter: ParameterValue) -> tuple[float, float] | None:
+def stated_prior(
+    diagnosis: DiagnosisRecord, cause: FoundCause, parameter: ParameterValue
+) -> tuple[float, float] | None:
     """Return mean and sigma of a parameter by [prior] of the bench file, in its unit; None if not stated."""
     return diagnosis.observations.nominal.priors.get(cause.name, {}).get(parameter.name)
 
 
-def _noise_to_state(diagnosis: Diagnosis) -> list[str]:
+def _noise_to_state(diagnosis: DiagnosisRecord) -> list[str]:
     """Return the noise to type into the bench file, where the stated noise is not believable."""
     floors = diagnosis.noise_floors
     wrong = [floor for floor in floors if not floor.is_believable]
@@ -97,7 +99,7 @@ def _noise_to_state(diagnosis: Diagnosis) -> list[str]:
     return [f"The noise differs from the stated one: {parts}. The diagnosis uses the measured noise."]
 
 
-def _too_few(diagnosis: Diagnosis) -> list[str]:
+def _too_few(diagnosis: DiagnosisRecord) -> list[str]:
     """Return the limits of parts with few captures, and the captures that would lift them."""
     observations, found = diagnosis.readings.observations, []
     counts = Counter(name.part for name in observations.captures)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.captures.session import StagePlan
-from wlr_render.diagnosis.diagnosis import Diagnosis
+from wlr_render.diagnosis.diagnosis import DiagnosisRecord
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, PART_UNITS, Observations
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
@@ -61,7 +61,7 @@ class PartView:
     variables: tuple[Variable, ...]
 
 
-def part_views(diagnosis: Diagnosis) -> list[PartView]:
+def part_views(diagnosis: DiagnosisRecord) -> list[PartView]:
     """Return a view of every part that has readings that count."""
     benches = {"bench as described": diagnosis.residual_before}
     if diagnosis.is_corrected:

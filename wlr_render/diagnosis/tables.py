@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause
+from wlr_render.diagnosis.diagnosis import DiagnosisRecord, FoundCause
 from wlr_render.diagnosis.findings import rms_of_captures
 from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse
@@ -26,7 +26,7 @@ class OfCause(NamedTuple):
     each: Any
 
 
-def residuals_table(diagnosis: Diagnosis) -> ReportTable:
+def residuals_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the residuals under the nominal and the corrected bench, next to the level expected from noise."""
     benches = {"bench as described": diagnosis.before, "corrected bench": diagnosis.after}
     if not diagnosis.is_corrected:
@@ -56,7 +56,7 @@ def residuals_table(diagnosis: Diagnosis) -> ReportTable:
     return ReportTable("Simulation against measurement", columns, rows, notes)
 
 
-def causes_table(diagnosis: Diagnosis) -> ReportTable:
+def causes_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return one row for each cause that was found."""
     note = (
         "Effect: rms change of the readings. Log10 odds: for the cause against none, the others being as found, by the "
@@ -104,7 +104,7 @@ def in_use_table(in_use: ImprovementInUse) -> ReportTable:
     return ReportTable("Improvement in use", columns, rows, notes)
 
 
-def parameters_table(diagnosis: Diagnosis) -> ReportTable:
+def parameters_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return one row for each fitted number."""
     numbers = [OfCause(cause, each) for cause in diagnosis.causes for each in cause.parameters]
     is_stated = any(stated_prior(diagnosis, *row) for row in numbers)
@@ -140,7 +140,7 @@ def parameters_table(diagnosis: Diagnosis) -> ReportTable:
     )
 
 
-def degenerate_table(diagnosis: Diagnosis) -> ReportTable:
+def degenerate_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the causes that could be confused with each other."""
     note = (
         "Cosine of the angle between the effect found and its best match by the other cause. Condition of the "
@@ -159,7 +159,7 @@ def degenerate_table(diagnosis: Diagnosis) -> ReportTable:
     )
 
 
-def ranking_table(diagnosis: Diagnosis) -> ReportTable:
+def ranking_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the candidates for the place of each cause, the others being as found."""
     note = (
         "Odds of the best candidate against this one, from their marginal likelihoods, each with the noise and the "
@@ -178,7 +178,7 @@ def ranking_table(diagnosis: Diagnosis) -> ReportTable:
     )
 
 
-def captures_table(diagnosis: Diagnosis) -> ReportTable:
+def captures_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return one row for each capture."""
     observations, residual = diagnosis.readings.observations, diagnosis.fit.residual
     readings, white = rms_of_captures(observations, residual, np.ones(len(residual), dtype=bool))
@@ -203,7 +203,7 @@ def captures_table(diagnosis: Diagnosis) -> ReportTable:
     )
 
 
-def excluded_table(diagnosis: Diagnosis) -> ReportTable:
+def excluded_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the captures that moved, and the move that would explain each."""
     notes = ["Log10 odds: for such a move of the capture against one of the usual size."]
     if diagnosis.too_many_moved:
@@ -229,7 +229,7 @@ def _component(attribute: str, number: int, moved: MovedCapture) -> str | None:
     return None if values is None else f"{values[number]:+.3f}"
 
 
-def effects_table(diagnosis: Diagnosis) -> ReportTable:
+def effects_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the located effects that no cause has."""
     return table(
         "Effects that no cause has",
@@ -254,7 +254,7 @@ def effects_table(diagnosis: Diagnosis) -> ReportTable:
     )
 
 
-def fields_table(diagnosis: Diagnosis) -> ReportTable:
+def fields_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return all fields that were judged, where something was found."""
     return table(
         "Fields",
@@ -273,7 +273,7 @@ def fields_table(diagnosis: Diagnosis) -> ReportTable:
     )
 
 
-def limits_table(diagnosis: Diagnosis) -> ReportTable:
+def limits_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the detection limits, where nothing was found."""
     return table(
         "Detection limits",
@@ -283,7 +283,7 @@ def limits_table(diagnosis: Diagnosis) -> ReportTable:
     )
 
 
-def repeatability_table(diagnosis: Diagnosis) -> ReportTable:
+def repeatability_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return how well the captures of each part repeat."""
     unknown = undetermined_parts(diagnosis)
     notes = ["Standard deviation, per axis, of the random motion of the camera against the headset in each capture."]
@@ -301,7 +301,7 @@ def repeatability_table(diagnosis: Diagnosis) -> ReportTable:
     )
 
 
-def noise_table(diagnosis: Diagnosis) -> ReportTable:
+def noise_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the noise of each part: stated, measured, and used."""
     note = (
         "Within photographs: residual of a smooth surface fitted to each photograph. Repeats: photographs taken twice "

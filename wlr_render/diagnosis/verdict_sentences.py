@@ -12,7 +12,7 @@ from wlr_render.diagnosis.diagnosis import (
     NO_EFFECT,
     PARTLY,
     DegenerateCause,
-    Diagnosis,
+    DiagnosisRecord,
     FoundCause,
     MotionSize,
     ParameterValue,
@@ -60,7 +60,7 @@ AXES_NOTE = (
 FRAME_NOTE = f'Vectors and rotations are in frame = "{WRITTEN_FRAME}".'
 
 
-def verdict_sentence(diagnosis: Diagnosis) -> str:
+def verdict_sentence(diagnosis: DiagnosisRecord) -> str:
     """Return the verdict with its causes and effects, the residuals, and any unexplained rest."""
     noise = _larger_noise(diagnosis)
     if diagnosis.verdict == NO_EFFECT:
@@ -75,7 +75,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     return " ".join(f"{capitalised(each)}." for each in (*sentences, _changes(diagnosis), *_left_over(diagnosis)))
 
 
-def _larger_noise(diagnosis: Diagnosis) -> str:
+def _larger_noise(diagnosis: DiagnosisRecord) -> str:
     """Return a clause on noise that is much larger than stated; empty where it is not, or not measured."""
     floors = {floor.part: floor.measured_px / floor.stated_px for floor in diagnosis.noise_floors}
     noise = {part: ratio for part, ratio in floors.items() if ratio > _MUCH_NOISE}  # NaN where not measured
@@ -88,7 +88,7 @@ def _larger_noise(diagnosis: Diagnosis) -> str:
     return said
 
 
-def _left_over(diagnosis: Diagnosis) -> list[str]:
+def _left_over(diagnosis: DiagnosisRecord) -> list[str]:
     """Return sentences on the residual that neither causes nor effects explain, and on captures that stand out."""
     left, moved, sentences = diagnosis.unexplained_parts, diagnosis.too_many_moved, list[str]()
     if left:
@@ -112,13 +112,13 @@ def _left_over(diagnosis: Diagnosis) -> list[str]:
     return sentences
 
 
-def _times_the_noise(diagnosis: Diagnosis, part: str) -> float:
+def _times_the_noise(diagnosis: DiagnosisRecord, part: str) -> float:
     """Return the residual of a part with the causes found, over the residual that noise alone gives."""
     _, attribute, _ = RESIDUALS[part]
     return float(getattr(diagnosis.after, attribute) / getattr(diagnosis.noise, attribute))
 
 
-def _changes(diagnosis: Diagnosis) -> str:
+def _changes(diagnosis: DiagnosisRecord) -> str:
     """Return the residual before and after, with the expected level, for each part the causes affect; all if none."""
     unknown, changed, unchanged = undetermined_parts(diagnosis), list[str](), list[str]()
     for part, (name, attribute, unit) in RESIDUALS.items():
@@ -134,7 +134,7 @@ def _changes(diagnosis: Diagnosis) -> str:
     return "; ".join(changed or unchanged)
 
 
-def bench_sentence(diagnosis: Diagnosis) -> str:
+def bench_sentence(diagnosis: DiagnosisRecord) -> str:
     """Return the repeatability and the noise of the bench: one sentence for each part of the session."""
     motions, unknown = {motion.part: motion for motion in diagnosis.motions}, undetermined_parts(diagnosis)
     sentences = []
@@ -148,7 +148,7 @@ def bench_sentence(diagnosis: Diagnosis) -> str:
     return " ".join(sentences)
 
 
-def undetermined_parts(diagnosis: Diagnosis) -> set[str]:
+def undetermined_parts(diagnosis: DiagnosisRecord) -> set[str]:
     """Return the parts with a residual by no cause that noise and repeatability of a usual size do not cover.
 
     The fit of the causes takes that residual for motions of the captures, so their size must not be read as
@@ -235,7 +235,7 @@ def _is_ambiguous(effect: StationEffect) -> bool:
     return bool(effect.next_station) and effect.odds_against_next_station < _DECIDED
 
 
-def advice(diagnosis: Diagnosis) -> list[str]:
+def advice(diagnosis: DiagnosisRecord) -> list[str]:
     """Return the next steps, most urgent first; each a sentence."""
     if diagnosis.verdict == NO_EFFECT:
         return ["Keep using the bench file; effects below the detection limits would not have been seen."]
@@ -268,7 +268,7 @@ def _before_acting(cause: FoundCause, other: DegenerateCause) -> str:
     )
 
 
-def _remedies(diagnosis: Diagnosis) -> list[str]:
+def _remedies(diagnosis: DiagnosisRecord) -> list[str]:
     """Return one sentence for each remedy, with the causes that it is for."""
     titles: dict[str, list[str]] = {}
     for cause in diagnosis.causes:
@@ -276,7 +276,7 @@ def _remedies(diagnosis: Diagnosis) -> list[str]:
     return [f"{capitalised(' and '.join(named))}: {remedy}." for remedy, named in titles.items()]
 
 
-def _corrected_values(diagnosis: Diagnosis) -> list[str]:
+def _corrected_values(diagnosis: DiagnosisRecord) -> list[str]:
     """Return the step that turns bench.toml and device.toml into the corrected bench."""
     lines = values_to_type(diagnosis)
     short = [line for line in lines if _MATRIX not in line]
@@ -312,7 +312,7 @@ def _about_effect(effect: StationEffect) -> list[str]:
     return steps
 
 
-def values_to_type(diagnosis: Diagnosis) -> list[str]:
+def values_to_type(diagnosis: DiagnosisRecord) -> list[str]:
     """Return the keys of bench.toml that the causes change, e.g. "[target] scale = [0.99696, 0.99692]".
 
     Each number has two digits of its error with the other values held: rounding correlated values by more would spoil
@@ -331,7 +331,7 @@ def values_to_type(diagnosis: Diagnosis) -> list[str]:
     return lines
 
 
-def _changed_after_step(diagnosis: Diagnosis, free: int, step: float) -> dict[str, dict[str, Any]]:
+def _changed_after_step(diagnosis: DiagnosisRecord, free: int, step: float) -> dict[str, dict[str, Any]]:
     """Return the changed keys with one value a step higher, or lower where its cause fails there; none if both fail."""
     nominal, explanation = diagnosis.observations.nominal, diagnosis.fit.explanation
     for by in (step, -step):

@@ -72,7 +72,8 @@ from wlr_render.scene.image_files import write_png
 from wlr_render.scene.scene import Scene
 from wlr_render.scene.scene_file import load_scene, scene_path
 from wlr_render.simulation import viewpoints as stage
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 from wlr_render.usual import CAMERA_NOISE_ARCMIN
 from wlr_render.work.progress import SILENT
 

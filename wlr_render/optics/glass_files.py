@@ -7,7 +7,7 @@ from pathlib import Path
 
 from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import hashes_of_inputs, reason_of, shown
-from wlr_render.optics.lens_files.lens_text import read_lens_lines
+from wlr_render.optics.lens_text import read_lens_lines
 from wlr_render.optics.media import Medium
 
 SHIPPED = Path(__file__).with_name("glasses.agf")

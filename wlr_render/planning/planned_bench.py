@@ -13,11 +13,12 @@ from wlr_render.geometry.directions import ARCMIN, arcmin_between
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.planning.designs import places_of
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import bare_steps, plan_photographs, stage_axis_count
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.stage_errors import StageErrors
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 from wlr_render.usual import CODE_NOISE_PX, DOT_NOISE_PX, STAGE_SCREW_M
 
 GRID = (17, 13)

@@ -5,20 +5,17 @@ import functools
 import gzip
 import importlib.resources
 import json
-from typing import TYPE_CHECKING
 
 import jinja2
 import markupsafe
 
 from wlr_render.io.escapes import html_code, html_text, plotly_text
 from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text
+from wlr_render.report.provenance import Provenance
 from wlr_render.report.records import to_jsonable
 
-if TYPE_CHECKING:
-    from wlr_render.report.save import Provenance
 
-
-def html_page(report: Report, provenance: "Provenance") -> str:
+def html_page(report: Report, provenance: Provenance) -> str:
     """Return the page as text, with its pictures and, if it has plots, Plotly embedded.
 
     Raises:

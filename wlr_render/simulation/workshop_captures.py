@@ -7,7 +7,7 @@ decoded as well. The camera looks at the middle of the display's field; the stag
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,10 +15,8 @@ from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, Se
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.workshop import Workshop, travel_of
-
-if TYPE_CHECKING:
-    from wlr_render.simulation.simulate_captures import CaptureSetup
 
 HALF_DIAGONAL_PX = 1600.0
 """Half the diagonal of the camera's picture, which reaches to the corners of the display's field: 5 megapixels."""
@@ -40,7 +38,7 @@ class LabCamera:
     half_diagonal: float
 
     @classmethod
-    def of(cls, setup: "CaptureSetup") -> "LabCamera":
+    def of(cls, setup: CaptureSetup) -> "LabCamera":
         """Return the camera that looks at the display's field."""
         low, high = setup.field.low, setup.field.high
         back = -dir_of_tangents(0.5 * (low + high))
@@ -70,7 +68,7 @@ class LabSweep:
         motion: (m, 6) true rotation (rad) and displacement (m) of the camera at each visit, device frame.
     """
 
-    setup: "CaptureSetup"
+    setup: CaptureSetup
     workshop: Workshop
     viewpoint: FloatArray
     number: int
@@ -78,7 +76,7 @@ class LabSweep:
 
     @classmethod
     def driven(
-        cls, setup: "CaptureSetup", workshop: Workshop, viewpoint: FloatArray, number: int, rng: np.random.Generator
+        cls, setup: CaptureSetup, workshop: Workshop, viewpoint: FloatArray, number: int, rng: np.random.Generator
     ) -> "LabSweep":
         """Drive the stage through all positions."""
         reading = viewpoint - setup.truth.eye_box.centre
@@ -191,7 +189,7 @@ class LabBoard:
     stride: Sequence[int]
 
     @classmethod
-    def of(cls, setup: "CaptureSetup") -> "LabBoard":
+    def of(cls, setup: CaptureSetup) -> "LabBoard":
         """Return a board that fills the field at its farthest pose, if it can be printed."""
         camera, depth, box = LabCamera.of(setup), np.array(setup.target_depths_m), setup.truth.eye_box
         corners = np.stack(np.meshgrid(*np.stack([setup.field.low, setup.field.high], axis=-1)), axis=-1)
@@ -221,7 +219,7 @@ class LabBoard:
 
 
 def display_captures(
-    setup: "CaptureSetup", workshop: Workshop, viewpoint: FloatArray, rng: np.random.Generator
+    setup: CaptureSetup, workshop: Workshop, viewpoint: FloatArray, rng: np.random.Generator
 ) -> DisplayCaptures:
     """Decode the panel in the camera's pixels from positions (m, 3), see `simulate_display`."""
     sweep = LabSweep.driven(setup, workshop, viewpoint, 0, rng)
@@ -235,7 +233,7 @@ def display_captures(
 
 
 def see_through_captures(
-    setup: "CaptureSetup", workshop: Workshop, viewpoint: FloatArray, rng: np.random.Generator
+    setup: CaptureSetup, workshop: Workshop, viewpoint: FloatArray, rng: np.random.Generator
 ) -> SeeThroughCaptures:
     """Photograph the board at all poses through the optics, see `simulate_see_through`."""
     board, parts = LabBoard.of(setup), []

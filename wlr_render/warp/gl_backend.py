@@ -1,23 +1,20 @@
 """Compositor backend in OpenGL, on a GPU or a software renderer."""
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.gl import gl
-from wlr_render.gl.readback import Readback, read_into, read_rgb
-from wlr_render.io.input_files import shown
-from wlr_render.mappings import Eye, count_unsolved, is_planar
+from wlr_render.mappings import Eye, is_planar
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.checks import checked_choice
-from wlr_render.warp.composed_frame import CachedRayMaps
+from wlr_render.warp.composed_frame import CachedRayMaps, GlComposed
 from wlr_render.warp.gl_overlay import Overlay, OverlayImport, Quad, SeenOverlay
 from wlr_render.warp.gl_panel import PanelEncoder
 from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
@@ -26,7 +23,7 @@ from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.panel_light import PanelLight
 from wlr_render.warp.picture_import import PictureImport
 from wlr_render.warp.raster_camera import MAX_SAMPLES, EyePlan
-from wlr_render.warp.ray_map import RayMap, RayMapPlan, RayMapSolver, choose_plan
+from wlr_render.warp.ray_map import RayMapPlan, RayMapSolver, choose_plan
 from wlr_render.warp.stored_picture import Rows, StoredColour, StoredDepth
 from wlr_render.warp.target_framebuffers import TargetFramebuffers
 from wlr_render.warp.view import View
@@ -35,74 +32,6 @@ HostState = Literal["kept", "clean"]
 """Who keeps the OpenGL state of an adopted context, see `Compositor`."""
 
 CONTEXTS = ("auto", "egl", "osmesa", "current")
-
-
-@dataclass(frozen=True, eq=False)
-class GlComposed:
-    """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's.
-
-    `draw_source` draws the pull map of another channel than green, from the submitted picture; None if the picture was
-    composed without.
-    """
-
-    warped: GpuWarped | None
-    ray_maps: list[GpuRayMap]
-    draw_source: Callable[[int], GpuWarped] | None = None
-
-    @property
-    def texture(self) -> gl.Texture | None:
-        """The texture with its top row first; None if the picture went into a framebuffer of the caller's."""
-        return self.warped.colour if self.warped else None
-
-    def read_async(self) -> Readback:
-        """Start to fetch the colour."""
-        own = self._own()
-        with own.context.drawing():
-            return Readback(own.context, own.colour)
-
-    def read_into(self, target: Any) -> None:
-        """Copy the colour as RGBA into an array, or into a buffer on the GPU."""
-        own = self._own()
-        with own.context.drawing():
-            read_into(own.context, own.colour, target)
-
-    def read_colour(self) -> NDArray[Any]:
-        """Fetch the colour alone, (height, width, 3)."""
-        own = self._own()
-        with own.context.drawing():
-            return read_rgb(own.colour)
-
-    def read_status(self) -> NDArray[np.uint8]:
-        """Fetch (height, width) uint8, one `WarpStatus` each."""
-        own = self._own()
-        with own.context.drawing():
-            return gl.read(own.status, np.uint8)
-
-    def read_source(self, channel: int | None) -> NDArray[np.float32] | None:
-        """Fetch the pull map of a channel, green's if None; None if it was composed without."""
-        own = self._own()
-        chosen = len(self.ray_maps) // 2 if channel is None else channel
-        if chosen not in range(len(self.ray_maps)):
-            raise BadInputError(f"channel {shown(channel)} does not exist; the eye has {len(self.ray_maps)}.")
-        is_there = own.source is None or chosen == len(self.ray_maps) // 2  # a warp of three channels gives green's
-        drawn = own if is_there or self.draw_source is None else self.draw_source(chosen)
-        if drawn.source is None:
-            return None
-        with drawn.context.drawing():
-            return gl.read(drawn.source, np.float32)
-
-    def unsolved(self) -> dict[str, int]:
-        """Return the number of unsolved points of the ray maps by reason; empty if all are solved."""
-        return count_unsolved(each.read_status() for each in self.ray_maps)
-
-    def read_ray_maps(self) -> list[RayMap]:
-        """Fetch the ray maps at the points of the warp grid, one per channel."""
-        return [each.read() for each in self.ray_maps]
-
-    def _own(self) -> GpuWarped:
-        if self.warped is None:
-            raise BadInputError("the picture was composed into your framebuffer; read that, or compose without `into`.")
-        return self.warped
 
 
 class GlEye:

@@ -17,7 +17,7 @@ from wlr_render.calibration.fit_eye import KindComparison
 from wlr_render.calibration.fit_report import ErrorShare, FitReport, OneMore, Residuals
 from wlr_render.calibration.label_errors import LabelError
 from wlr_render.calibration.moved_captures import CaptureMotion, MotionAgreement
-from wlr_render.captures.capture_file import load_captures, save_captures
+from wlr_render.captures.capture_file import load_captures
 from wlr_render.captures.correspondences import Captures, select
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
 from wlr_render.cli import main
@@ -428,7 +428,7 @@ def test_the_largest_source_of_the_predicted_error_is_advised_against(linear):
 
 
 def test_a_prescription_is_compared_with_no_prescription_and_the_best_kind_is_saved(calibrated, tmp_path):
-    few = save_captures(tmp_path / "few.npz", Captures(*(thinned(each) for each in captures_of(calibrated).both)))
+    few = Captures(*(thinned(each) for each in captures_of(calibrated).both)).save(tmp_path / "few.npz")
     fit = FitOptions(prescription="birdbath28")
     again = calibrate(CalibrateOptions(few, fit=fit, out=tmp_path))
     kinds = {row["model"]: row for row in table(again, "Gain of the prescription")}
@@ -478,7 +478,7 @@ def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys
 def test_captures_of_one_side_alone_are_calibrated_and_their_model_is_not_rendered(calibrated, tmp_path, side, capsys):
     both, fit = captures_of(calibrated), FitOptions(degree=3, see_through_degree=2)
     alone = Captures(both.display) if side == "display" else Captures(None, both.see_through)
-    path = save_captures(tmp_path / "alone.npz", alone)
+    path = alone.save(tmp_path / "alone.npz")
     report = calibrate(CalibrateOptions(path, fit=fit, out=tmp_path / "out"))
     lacking = "see-through" if side == "display" else "display"
     assert lacking not in report.verdict

@@ -7,7 +7,6 @@ import pytest
 from memo import memoised, shared_folder
 from small_headsets import changed_device
 
-from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.feature_captures import CommonErrors
 from wlr_render.cli import main
@@ -280,7 +279,7 @@ def calibration(bench, tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibration")
     unit = of_family(bench, 12).unit * [0.5, 1.0, 1.0] - [0.5, 0.0, 0.0]
     captures = simulated_captures(bench, unit, 5)
-    save_captures(folder / "captures-right.npz", Captures(*(_with_lens_error(each) for each in captures.both)))
+    Captures(*(_with_lens_error(each) for each in captures.both)).save(folder / "captures-right.npz")
     return folder
 
 
@@ -312,7 +311,7 @@ def test_a_calibration_that_is_good_enough_needs_no_places(calibration, tmp_path
 
 def test_captures_without_see_through_are_refused(bench, tmp_path):
     captures = simulated_captures(bench, of_family(bench, 9).unit, 5)
-    save_captures(tmp_path / "captures-right.npz", Captures(captures.display))
+    Captures(captures.display).save(tmp_path / "captures-right.npz")
     with pytest.raises(BadInputError, match="have no see-through part"):
         plan(PlanOptions(DEVICE, calibration=tmp_path, out=tmp_path))
 

@@ -13,10 +13,10 @@ from wlr_render.jobs.simulate import SimulateOptions, simulate
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.planning.designs import grids, offered, places_of, spread
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.photographs.photo_bench import half_travel
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, planned_session, true_camera_poses
 from wlr_render.simulation.photographs.recipe import load_recipe, save_recipe, values_of
-from wlr_render.simulation.simulate_captures import CaptureSetup
 
 DEVICE = "birdbath28"
 HEADER = "x_mm,y_mm,z_mm"

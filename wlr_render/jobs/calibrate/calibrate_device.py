@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from wlr_render.calibration.fit_eye import Calibration
-from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.truth_tests import PIXEL_DIRECTION, POINT_DIRECTION, TEST_DEPTHS_M, TESTS, TruthTests
@@ -60,7 +59,7 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
     folder = output_folder(options.out)
     remove_results(folder, list(captures))
     model, notes = save_models(folder, fits)
-    files = [model, *(save_captures(folder / f"captures-{eye}.npz", each) for eye, each in captures.items())]
+    files = [model, *(each.save(folder / f"captures-{eye}.npz") for eye, each in captures.items())]
     return Report(
         f"Calibration of {device.name}, simulated",
         verdict=" ".join(sentences),

@@ -8,11 +8,11 @@ from wlr_render.io.input_files import LIMITS, read_bytes
 from wlr_render.io.toml_files import read_json
 from wlr_render.optics.lens_files.codev import read_codev
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
-from wlr_render.optics.lens_files.lens_text import read_lens_lines
 from wlr_render.optics.lens_files.optiland_json import read_optiland
 from wlr_render.optics.lens_files.rayoptics_json import read_rayoptics
 from wlr_render.optics.lens_files.sequence import LensFile
 from wlr_render.optics.lens_files.zemax import read_zemax
+from wlr_render.optics.lens_text import read_lens_lines
 
 _KINDS = "a lens file of Zemax (.zmx, sequential), CODE V (.seq), Optiland (.json) or rayoptics (.roa)"
 _CODE_V = re.compile(r"\s*(LEN|RDM|SO)\b", re.IGNORECASE)

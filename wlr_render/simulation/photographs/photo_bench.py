@@ -16,13 +16,13 @@ from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.traced_mappings import TracedSeeThrough, traced_eye
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.camera_view import WAVELENGTH_UM
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.printed_board import PrintedBoard, WorkshopBoard
 from wlr_render.simulation.photographs.stage_errors import StageErrors
 from wlr_render.simulation.photographs.true_lens import true_lens
-from wlr_render.simulation.simulate_captures import CaptureSetup
 from wlr_render.simulation.viewpoints import planar, volumetric
 from wlr_render.simulation.workshop import Workshop, travel_of
 

@@ -1,0 +1,70 @@
+"""Provenance of a result: date, version, command line and inputs."""
+
+import datetime
+import hashlib
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from wlr_render import __version__
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """An input of a result: its name and the SHA-256 of its content.
+
+    The hash of a folder covers the sorted list of its files' relative names and hashes, except files of an output
+    folder inside it. An input that can no longer be read has the reason in place of its hash.
+    """
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Date, version, command line and inputs of a result."""
+
+    date: str
+    version: str
+    command: str
+    inputs: tuple[InputFile, ...]
+
+
+def provenance(inputs: Sequence[Path], output: Path) -> Provenance:
+    """Return date, version, command line and input hashes of the running program, which writes to folder `output`."""
+    now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+    hashes = (_sha256(path, output) for path in inputs)
+    return Provenance(now, __version__, _command(), tuple(map(InputFile, map(str, inputs), hashes)))
+
+
+def _command() -> str:
+    """Return the command line, or words for a notebook or a prompt, whose command line does not describe the job."""
+    started, arguments = Path(sys.argv[0]), sys.argv[1:]
+    if started.stem == "ipykernel_launcher" or started.name in ("", "-c"):
+        return "Python, without a command line"
+    program = ["python", "-m", started.parent.name] if started.name == "__main__.py" else [started.name]
+    return shlex.join([*program, *arguments])
+
+
+def _sha256(path: Path, output: Path) -> str:
+    try:
+        if not path.is_dir():
+            return _file_sha256(path)
+        files = [item for item in path.rglob("*") if item.is_file()]
+        if path.resolve() in output.resolve().parents:
+            files = [item for item in files if not item.resolve().is_relative_to(output.resolve())]
+        total = hashlib.sha256()
+        for file in sorted(files):
+            total.update(f"{file.relative_to(path).as_posix()} {_file_sha256(file)}\n".encode())
+        return total.hexdigest()
+    except OSError as error:
+        # An input that was removed during the job must not prevent its report.
+        return f"not readable ({error.strerror})"
+
+
+def _file_sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
