@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from toy_device import (
+from calibration.toy_device import (
     EYE_BOX,
     PANEL,
     PLANE,

@@ -3,8 +3,8 @@ import json
 
 import numpy as np
 import pytest
-from prescribed_eyes import captured, prescription
-from toy_device import EYE_BOX, display_captures, positions_in_plane, see_through_captures
+from calibration.prescribed_eyes import captured, prescription
+from calibration.toy_device import EYE_BOX, display_captures, positions_in_plane, see_through_captures
 
 from benchmarks.wrong_headset import wrong_headset
 from wlr_render.calibration.fit_display import fit_display

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from prescribed_eyes import captured, prescription
+from calibration.prescribed_eyes import captured, prescription
 
 from benchmarks.wrong_headset import wrong_headset
 from wlr_render.calibration.fit_prescription import IMPLAUSIBLE, display_trend, fit_assembly, see_through_trend

@@ -2,7 +2,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_device import EYE_BOX, PLANE, bend_of, grid_in_plane, places_among, positions_in_plane, see_through_captures
+from calibration.toy_device import (
+    EYE_BOX,
+    PLANE,
+    bend_of,
+    grid_in_plane,
+    places_among,
+    positions_in_plane,
+    see_through_captures,
+)
 
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.calibration.smooth_prior import NOISE_FLOOR_ARCMIN

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, scattered
+from calibration.toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, scattered
 
 from wlr_render.calibration import label_errors as label_error_module
 from wlr_render.calibration.fit_display import fit_display

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, see_through_captures
+from calibration.toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, see_through_captures
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through

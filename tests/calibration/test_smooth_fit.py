@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_device import PANEL, display_captures, errors_arcmin, grid_in_plane
+from calibration.toy_device import PANEL, display_captures, errors_arcmin, grid_in_plane
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.smooth_prior import smoothness_prior

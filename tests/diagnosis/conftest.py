@@ -2,7 +2,15 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, diagnosed, measured, run_time_plan, small_bench, small_plan, with_moved_capture
+from diagnosis.small_session import (
+    SIGMA_PX,
+    diagnosed,
+    measured,
+    run_time_plan,
+    small_bench,
+    small_plan,
+    with_moved_capture,
+)
 
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.prediction import Predictor

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, measured, with_jitter, with_noise
+from diagnosis.small_session import SIGMA_PX, measured, with_jitter, with_noise
 
 from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.bench.simulate_session import simulate

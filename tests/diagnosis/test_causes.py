@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from small_session import run_time_plan
+from diagnosis.small_session import run_time_plan
 
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import SeeThroughPlan, SessionPlan, select_rows

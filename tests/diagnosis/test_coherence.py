@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, measured, with_readings
+from diagnosis.small_session import SIGMA_PX, measured, with_readings
 
 from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.captures.session import SessionPlan, select_rows

@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, fitted, fitted_at_rest, measured
+from diagnosis.small_session import SIGMA_PX, explanation, fitted, fitted_at_rest, measured
 
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.fit import is_physical, reduced_chi_squared, whole_step_cost

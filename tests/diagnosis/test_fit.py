@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, fitted_at_rest, measured, with_noise
+from diagnosis.small_session import SIGMA_PX, explanation, fitted_at_rest, measured, with_noise
 
 from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.causes import CAUSES

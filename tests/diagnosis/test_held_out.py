@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, fitted_at_rest, hypothesis, measured
+from diagnosis.small_session import SIGMA_PX, explanation, fitted_at_rest, hypothesis, measured
 
 from wlr_render.diagnosis.held_out import held_out_improvement, held_out_residual
 from wlr_render.diagnosis.observations import SEE_THROUGH

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, measured, small_bench, small_plan
+from diagnosis.small_session import SIGMA_PX, measured, small_bench, small_plan
 
 from wlr_render.bench.bench_file import save_bench
 from wlr_render.bench.session_captures import captures_of

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, fitted, measured, weighed, with_jitter
+from diagnosis.small_session import SIGMA_PX, explanation, fitted, measured, weighed, with_jitter
 
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES

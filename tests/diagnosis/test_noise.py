@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from diagnosis.small_session import SIGMA_PX, measured
 from oracle.nature import BenchNature
-from small_session import SIGMA_PX, measured
 
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.noise import is_significant, noise_of

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, diagnosed, measured, with_noise, with_readings
+from diagnosis.small_session import SIGMA_PX, diagnosed, measured, with_noise, with_readings
 
 from wlr_render.diagnosis.diagnosis import NO_EFFECT, UNEXPLAINED
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, with_readings
+from diagnosis.small_session import SIGMA_PX, explanation, with_readings
 
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows

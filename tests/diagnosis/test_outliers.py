@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, hypothesis, measured, weighed, with_motions
+from diagnosis.small_session import SIGMA_PX, explanation, hypothesis, measured, weighed, with_motions
 
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, CaptureName

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import explanation, hypothesis, measured
+from diagnosis.small_session import explanation, hypothesis, measured
 
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import SessionPlan

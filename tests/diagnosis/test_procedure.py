@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from diagnosis.small_session import SIGMA_PX, diagnosed, fitted, measured, with_jitter, with_noise
 from oracle.captures import Plan
 from oracle.effects import Effect
 from oracle.session_writer import write_session
-from small_session import SIGMA_PX, diagnosed, fitted, measured, with_jitter, with_noise
 
 from wlr_render.bench.session_folder import load_session
 from wlr_render.diagnosis import prediction

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import measured, scatter_of, weighed
+from diagnosis.small_session import measured, scatter_of, weighed
 
 from wlr_render.diagnosis.observations import DISPLAY
 from wlr_render.numerics.scatter import (

@@ -5,7 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, fitted, hypothesis, measured, weighed, with_jitter, with_noise
+from diagnosis.small_session import (
+    SIGMA_PX,
+    explanation,
+    fitted,
+    hypothesis,
+    measured,
+    weighed,
+    with_jitter,
+    with_noise,
+)
 
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session, SessionPlan

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, fitted, measured, weighed, with_noise, with_readings
+from diagnosis.small_session import SIGMA_PX, explanation, fitted, measured, weighed, with_noise, with_readings
 
 from wlr_render.bench.bench_effects import BENCH_KINDS, RUN_TIME_KINDS, BenchEffect
 from wlr_render.bench.simulate_session import simulate

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, diagnosed, measured, with_motions, with_moved_capture
+from diagnosis.small_session import SIGMA_PX, diagnosed, measured, with_motions, with_moved_capture
 
 from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.diagnosis import diagnosis_plots as plots

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from diagnosis.small_session import measured, weighed
 from oracle.nature import smooth_field
-from small_session import measured, weighed
 
 from wlr_render.diagnosis.observations import DISPLAY
 from wlr_render.diagnosis.whitening import Whitening, shared_noise_whitening

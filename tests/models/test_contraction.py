@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from toy_models import (
+from models.toy_models import (
     EYE_BOX,
     IN_PLANE,
     PIXELS,

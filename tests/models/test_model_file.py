@@ -3,7 +3,7 @@ import json
 
 import numpy as np
 import pytest
-from toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS, bundle_display, bundle_see_through, static_display
+from models.toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS, bundle_display, bundle_see_through, static_display
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN

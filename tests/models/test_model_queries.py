@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from toy_models import DISPLAYS, EYE_BOX, PANEL, SEE_THROUGHS, bundle_display, bundle_see_through
+from models.toy_models import DISPLAYS, EYE_BOX, PANEL, SEE_THROUGHS, bundle_display, bundle_see_through
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS
+from models.toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS
 
 from benchmarks.rivals.numeric_regressor import NumericRegressor
 

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import scipy.optimize
-from toy_models import (
+from models.toy_models import (
     EYE_BOX,
     IN_PLANE,
     PANEL,

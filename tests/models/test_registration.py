@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from toy_models import EYE_BOX, bundle_display, bundle_see_through
+from models.toy_models import EYE_BOX, bundle_display, bundle_see_through
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN

@@ -7,7 +7,7 @@ the patent's figures in test_traced_mappings).
 
 import numpy as np
 import pytest
-from make_optiland_rays import STORED, WAVELENGTH_UM, cases, trace_with_optiland
+from optics.make_optiland_rays import STORED, WAVELENGTH_UM, cases, trace_with_optiland
 
 from wlr_render.mappings import Status
 from wlr_render.optics.tracer import trace

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from make_lens_file_rays import FOLDER
-from test_lens_files import CATALOGUE, path_of
+from optics.make_lens_file_rays import FOLDER
+from optics.test_lens_files import CATALOGUE, path_of
 
 from wlr_render.errors import BadInputError
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue

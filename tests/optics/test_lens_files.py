@@ -7,7 +7,15 @@ import json
 
 import numpy as np
 import pytest
-from make_lens_file_rays import FOLDER, OPTILAND, RAYOPTICS, STORED, WAVELENGTH_UM, starting_rays, trace_with_optiland
+from optics.make_lens_file_rays import (
+    FOLDER,
+    OPTILAND,
+    RAYOPTICS,
+    STORED,
+    WAVELENGTH_UM,
+    starting_rays,
+    trace_with_optiland,
+)
 
 from wlr_render.errors import BadInputError
 from wlr_render.extras import install_command

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_optics_shapes import SHAPES, random_rays
+from optics.test_optics_shapes import SHAPES, random_rays
 
 from wlr_render.geometry.transforms import apply, rigid, rotate, rotation_about
 from wlr_render.mappings import Status

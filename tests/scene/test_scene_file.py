@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from gl_scenes import shipped_scene
 from glb_writer import save_glb
-from test_mesh_file import gltf, obj
+from scene.test_mesh_file import gltf, obj
 
 from wlr_render.draw.painters import saturation_warnings
 from wlr_render.errors import BadInputError

@@ -4,7 +4,7 @@ A folder `warp` would hide that the library of this name is not installed: Pytho
 """
 
 import pytest
-from composing import SMALL
+from warps.composing import SMALL
 
 from wlr_render.errors import MissingGlError
 from wlr_render.warp.compositor import Compositor

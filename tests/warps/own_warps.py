@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from composing import HEAD
+from warps.composing import HEAD
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents

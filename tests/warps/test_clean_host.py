@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from composing import HEAD, SMALL, draw, scene, viewpoint
 from gl_caller import assert_same
+from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
 from wlr_render.draw.scene_source import SceneSource
 from wlr_render.errors import BadInputError

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from composing import HEAD, clear_of_edges, draw, planar, scene, traced, viewpoint
+from warps.composing import HEAD, clear_of_edges, draw, planar, scene, traced, viewpoint
 
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.draw.scene_source import SceneSource

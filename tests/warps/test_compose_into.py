@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import moderngl
 import numpy as np
 import pytest
-from composing import HEAD, SMALL, draw, scene, viewpoint
+from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
 from wlr_render.draw.scene_source import SceneSource
 from wlr_render.errors import BadInputError

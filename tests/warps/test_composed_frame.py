@@ -2,8 +2,19 @@
 
 import numpy as np
 import pytest
-from composing import CONTEXTS, HEAD, SMALL, clear_of_edges, draw, misplaced_arcmin, planar, scene, traced, viewpoint
 from gl_scenes import at
+from warps.composing import (
+    CONTEXTS,
+    HEAD,
+    SMALL,
+    clear_of_edges,
+    draw,
+    misplaced_arcmin,
+    planar,
+    scene,
+    traced,
+    viewpoint,
+)
 
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.draw.scene_source import SceneSource

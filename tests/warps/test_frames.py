@@ -8,9 +8,9 @@ from dataclasses import replace
 import moderngl
 import numpy as np
 import pytest
-from composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
 from gl_caller import Caller
 from gl_scenes import at
+from warps.composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
 
 from wlr_render.draw.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError

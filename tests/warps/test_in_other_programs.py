@@ -7,8 +7,8 @@ from dataclasses import replace
 import moderngl
 import numpy as np
 import pytest
-from composing import HEAD, SMALL, draw, scene, viewpoint
 from gl_caller import assert_same, run
+from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
 from wlr_render.draw.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError

@@ -3,8 +3,8 @@
 import moderngl
 import numpy as np
 import pytest
-from composing import HEAD, clear_of_edges, planar, scene, traced, viewpoint
 from gl_scenes import at
+from warps.composing import HEAD, clear_of_edges, planar, scene, traced, viewpoint
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.draw.ray_tracing import RayRenderer

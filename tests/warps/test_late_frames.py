@@ -8,9 +8,9 @@ from dataclasses import replace
 import moderngl
 import numpy as np
 import pytest
-from composing import HEAD, SMALL, draw, planar, scene, viewpoint
 from gl_caller import assert_same
 from gl_scenes import at
+from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
 from wlr_render import Compositor
 from wlr_render.draw.gl_raster import GlRaster

@@ -3,8 +3,8 @@
 import moderngl
 import numpy as np
 import pytest
-from composing import HEAD, SMALL, draw, planar, scene, viewpoint
 from gl_scenes import at
+from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
 from wlr_render.draw.scene_source import SceneSource
 from wlr_render.errors import BadInputError

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from composing import HEAD, SMALL, planar, scene, traced, viewpoint
 from gl_scenes import at
+from warps.composing import HEAD, SMALL, planar, scene, traced, viewpoint
 
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.errors import BadInputError

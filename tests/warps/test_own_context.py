@@ -6,7 +6,7 @@ import threading
 import moderngl
 import numpy as np
 import pytest
-from composing import HEAD, SMALL, scene, viewpoint
+from warps.composing import HEAD, SMALL, scene, viewpoint
 
 from wlr_render.draw.scene_source import SceneSource
 from wlr_render.errors import BadInputError

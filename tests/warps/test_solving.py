@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from composing import HEAD, SMALL, draw, planar, scene, viewpoint
+from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
 from wlr_render.draw.scene_source import SceneSource
 from wlr_render.mappings import QueryResult, Status

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from composing import CONTEXTS, HEAD, draw, scene, viewpoint
 from gl_scenes import at
+from warps.composing import CONTEXTS, HEAD, draw, scene, viewpoint
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.draw.scene_source import SceneSource

@@ -8,7 +8,7 @@ import gl_scenes
 import moderngl
 import numpy as np
 import pytest
-from composing import HEAD, SMALL, planar, scene, viewpoint
+from warps.composing import HEAD, SMALL, planar, scene, viewpoint
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.io.atomic_files import resource

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from composing import HEAD, planar
-from own_warps import NEAR_M, OpenGl, Warp, WebGpu, drawn, expected_source, light, seen_by
+from warps.composing import HEAD, planar
+from warps.own_warps import NEAR_M, OpenGl, Warp, WebGpu, drawn, expected_source, light, seen_by
 
 from wlr_render import StoredDepth
 from wlr_render.engine import DepthKind

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from imperfect_bench import PERFECT, Imperfections, TrueBench, adjusted, start_of, thinned
+from calibration.bench.imperfect_bench import PERFECT, Imperfections, TrueBench, adjusted, start_of, thinned
 
 from wlr_render.calibration.bench.bench_checks import bench_checks, prior_pulls, reading_pulls, significance
 from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from imperfect_bench import Imperfections, TrueBench, turned
+from calibration.bench.imperfect_bench import Imperfections, TrueBench, turned
 
 from wlr_render.calibration.bench.bench_blocks import EXACT, FEATURES, Layout
 from wlr_render.calibration.bench.board_views import EYEBALL, CameraSetup

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from imperfect_bench import turned
+from calibration.bench.imperfect_bench import turned
 
 from wlr_render.calibration.bench.half_turns import with_half_turns
 from wlr_render.captures.boards.board import BoardObservation

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from imperfect_bench import TrueBench, adjusted, thinned, turned
+from calibration.bench.imperfect_bench import TrueBench, adjusted, thinned, turned
 
 from wlr_render.calibration.bench.board_views import (
     EYEBALL,

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from imperfect_bench import Imperfections, TrueBench, adjusted, thinned
+from calibration.bench.imperfect_bench import Imperfections, TrueBench, adjusted, thinned
 from scipy.spatial.transform import Rotation
 
 from wlr_render.calibration.bench.board_views import TRACKING

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from wide_lens import CENTRE, SIZE, WideLens
+from calibration.bench.wide_lens import CENTRE, SIZE, WideLens
 
 from wlr_render.calibration.bench.adjustment import adjust
 from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations, CameraSetup

@@ -1,7 +1,7 @@
 """Views of a board by a lens of 120 or 180 degrees with an equisolid projection, which no kind of lens model is."""
 
 import numpy as np
-from imperfect_bench import turned
+from calibration.bench.imperfect_bench import turned
 from scipy.spatial.transform import Rotation
 
 from wlr_render.calibration.bench.board_views import EYEBALL, BoardView

@@ -7,7 +7,7 @@ from dataclasses import astuple, replace
 import cv2
 import numpy as np
 import pytest
-from board_pictures import BOARD
+from captures.boards.board_pictures import BOARD
 from PIL import Image
 
 from wlr_render.captures.boards.april_grid import AprilGrid

@@ -9,7 +9,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from board_pictures import BARREL, light_of, pose, truth
+from captures.boards.board_pictures import BARREL, light_of, pose, truth
 
 from wlr_render.captures.boards.april_grid import AprilGrid
 from wlr_render.captures.boards.board import BoardNotFoundError

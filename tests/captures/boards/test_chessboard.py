@@ -6,7 +6,7 @@ from itertools import product
 import cv2
 import numpy as np
 import pytest
-from board_pictures import BARREL, CAMERA, exposed, light_of, pose, truth
+from captures.boards.board_pictures import BARREL, CAMERA, exposed, light_of, pose, truth
 
 from wlr_render.captures.boards.board import BoardNotFoundError
 from wlr_render.captures.boards.chessboard import Chessboard

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from board_pictures import BARREL, BOARD, exposed, light_of, pose, truth
+from captures.boards.board_pictures import BARREL, BOARD, exposed, light_of, pose, truth
 
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.circle_grid import CircleGrid

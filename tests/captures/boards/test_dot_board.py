@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from board_pictures import BARREL, BOARD, CAMERA, exposed, light_of, pose, truth
+from captures.boards.board_pictures import BARREL, BOARD, CAMERA, exposed, light_of, pose, truth
 
 from wlr_render.captures.boards.board import BoardNotFoundError
 from wlr_render.captures.boards.board_design import design_board

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from board_pictures import BOARD
+from captures.boards.board_pictures import BOARD
 
 from wlr_render.captures.boards.board import BoardNotFoundError
 from wlr_render.captures.boards.board_design import WINDOW, design_board

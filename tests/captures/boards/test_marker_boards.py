@@ -7,7 +7,7 @@ from itertools import product
 import cv2
 import numpy as np
 import pytest
-from board_pictures import CAMERA, exposed, light_of, pose, truth
+from captures.boards.board_pictures import CAMERA, exposed, light_of, pose, truth
 
 from wlr_render.captures.boards.april_grid import AprilGrid
 from wlr_render.captures.boards.board import BoardNotFoundError
