@@ -7,7 +7,7 @@ from PIL import Image
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
 from wlr_render.io.atomic_files import write_bytes
-from wlr_render.scene.mesh_file import EXTENSION
+from wlr_render.scene.gltf_document import LIGHTS as EXTENSION
 
 
 def save_glb(scene, path):

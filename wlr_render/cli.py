@@ -106,7 +106,7 @@ DEBUG_NOTE = (
 )
 EPILOGUE = (
     "HEADSET is a shipped device by name, a device file (.toml) or a fitted model (.json). SCENE is a shipped scene by "
-    f"name, a scene file (.toml) or a mesh (.glb, .gltf, .obj, .ply). {DEBUG_NOTE}"
+    f"name, a scene file (.toml) or a mesh (.glb, .gltf, .obj, .ply, .stl). {DEBUG_NOTE}"
 )
 
 

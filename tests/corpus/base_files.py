@@ -98,10 +98,11 @@ def _write_texts(folder: Path) -> None:
 
 def _write_meshes(folder: Path) -> None:
     box = trimesh.creation.box((0.2, 0.2, 0.2))
-    for kind in ("obj", "ply", "glb"):
+    for kind in ("obj", "ply", "glb", "stl"):
         box.export(folder / f"box.{kind}")
     (folder / "box.ply").write_bytes(trimesh.exchange.ply.export_ply(box, encoding="ascii"))
     trimesh.Trimesh(box.vertices, box.faces).export(folder / "binary.ply", encoding="binary")
+    (folder / "ascii.stl").write_text(trimesh.exchange.stl.export_stl_ascii(box))
     for name, content in trimesh.exchange.gltf.export_gltf(trimesh.Scene(box)).items():
         (folder / "gltf").mkdir(exist_ok=True)
         (folder / "gltf" / ("box.gltf" if name == "model.gltf" else name)).write_bytes(content)

@@ -55,6 +55,8 @@ READERS: dict[str, Callable[[Path], object]] = {
     "box.obj": load_scene,
     "box.ply": load_scene,
     "binary.ply": load_scene,
+    "box.stl": load_scene,
+    "ascii.stl": load_scene,
     "textured.glb": load_scene,
     "gltf/box.gltf": load_scene,
     "model.json": load_eye_models,

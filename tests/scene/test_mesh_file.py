@@ -757,10 +757,48 @@ def test_a_primitive_without_positions_is_named(tmp_path):
     assert "primitives without positions of mesh 'wedge' in wedge.gltf" in loaded.not_drawn
 
 
-def test_an_optional_extension_of_primitives_does_not_reach_trimesh(tmp_path, caplog):
+def test_an_optional_extension_of_primitives_is_ignored(tmp_path):
     draco = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
     assert len(load_meshes(gltf(tmp_path, meshes=wedge(extensions=draco))).meshes) == 1
-    assert caplog.text == ""
+
+
+def test_things_of_the_same_name_get_numbers(tmp_path):
+    nodes = [{"mesh": 0, "name": "pin"}] * 3 + [{"mesh": 1, "name": "pin_7"}, {"mesh": 0, "name": "pin_7"}, {"mesh": 1}]
+    found = load_meshes(gltf(tmp_path, meshes=2 * wedge(), nodes=nodes, scenes=[{"nodes": list(range(6))}]))
+    assert [mesh.name for mesh in found.meshes] == ["wedge", "wedge_1"]
+    assert [each.name for each in found.instances] == ["pin", "pin_1", "pin_2", "pin_7", "pin_8", "5"]
+    assert [each.mesh for each in found.instances] == [0, 0, 0, 1, 0, 1]
+
+
+def test_only_the_stated_scene_is_drawn(tmp_path):
+    nodes = [{"mesh": 0, "name": "here"}, {"mesh": 0, "name": "there"}]
+    path = gltf(tmp_path, nodes=nodes, scene=1, scenes=[{"nodes": [0]}, {"nodes": [1]}])
+    assert [each.name for each in load_meshes(path).instances] == ["there"]
+
+
+def test_a_base_colour_keeps_its_digits(tmp_path):
+    colour = [0.123456, 0.5, 1.0]
+    path = gltf(tmp_path, materials=[{"pbrMetallicRoughness": {"baseColorFactor": [*colour, 1]}}])
+    np.testing.assert_array_equal(load_meshes(path).meshes[0].base_colour, np.float32(colour))
+
+
+def test_a_picture_that_is_not_drawn_may_be_missing(tmp_path):
+    material = {"name": "m", "normalTexture": {"index": 0}}
+    path = gltf(tmp_path, materials=[material], textures=[{"source": 0}], images=[{"uri": "gone.png"}])
+    assert load_meshes(path).not_drawn == ("normalTexture of 'm' in wedge.gltf",)
+
+
+@pytest.mark.parametrize(
+    ("diffuse", "specular", "expected"),
+    [
+        ([0.5, 0.2, 0.1], [0.04] * 3, [0.5, 0.2, 0.1]),  # a dielectric
+        ([0, 0, 0], [0.9, 0.7, 0.3], [0.9, 0.7, 0.3]),  # a metal
+    ],
+)
+def test_specular_glossiness_without_textures_has_the_equivalent_base_colour(tmp_path, diffuse, specular, expected):
+    glossy = {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [*diffuse, 1], "specularFactor": specular}}
+    mesh = load_meshes(gltf(tmp_path, materials=[{"extensions": glossy}])).meshes[0]
+    np.testing.assert_allclose(mesh.base_colour, expected, atol=2e-3)
 
 
 def test_a_primitive_without_area_is_left_out(tmp_path):

@@ -1,4 +1,4 @@
-"""OBJ, MTL and PLY: the forms that their documents declare legal, and pictures of all kinds as textures."""
+"""OBJ, MTL, PLY and STL: the forms that their documents declare legal, and pictures of all kinds as textures."""
 
 import struct
 import zlib
@@ -427,3 +427,60 @@ def test_a_ply_without_faces_names_what_it_has(tmp_path):
 def test_a_ply_of_points_alone_is_refused(tmp_path):
     with pytest.raises(BadInputError, match=r"house.ply: holds no triangles; export it again with faces"):
         load_meshes(ply(tmp_path, faces=[]))
+
+
+SOLID = """solid {name}
+  facet normal 0 0 1
+    outer loop
+      vertex 0 0 {z}
+      vertex 1 0 {z}
+      vertex 0 1 {z}
+    endloop
+  endfacet
+endsolid {name}
+"""
+
+
+def stl(folder, content):
+    path = folder / "part.stl"
+    path.write_bytes(content)
+    return path
+
+
+def binary_stl(triangles, promised=None):
+    rows = b"".join(np.float32([0, 0, 1, *np.ravel(corners)]).tobytes() + bytes(2) for corners in triangles)
+    return b"solid, in binary".ljust(80) + struct.pack("<I", len(triangles) if promised is None else promised) + rows
+
+
+def test_each_solid_of_an_ascii_stl_is_a_mesh(tmp_path):
+    text = SOLID.format(name="low", z=0) + SOLID.format(name="High", z=2.5e-1)
+    low, high = load_meshes(stl(tmp_path, text.encode())).meshes
+    assert (low.name, high.name) == ("low", "High")
+    assert faces_of(high) == [((0, 0, 0.25), (1, 0, 0.25), (0, 1, 0.25))]
+    np.testing.assert_allclose(high.normal, [[0, 0, 1]] * 3)
+
+
+def test_a_binary_stl_may_begin_as_an_ascii_one(tmp_path):
+    mesh = only(stl(tmp_path, binary_stl([[[0, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]])))
+    assert mesh.name == "part.stl"
+    assert area(mesh) == pytest.approx(1.5)
+    np.testing.assert_allclose(mesh.normal[mesh.triangles], [[[0, 0, 1]] * 3, [[1, 0, 0]] * 3])
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (binary_stl([np.eye(3)], promised=2), "neither an ASCII STL nor a binary one of the stated length"),
+        (binary_stl([np.eye(3)])[:-1], "neither an ASCII STL nor a binary one of the stated length"),
+        (binary_stl([np.nan * np.eye(3)]), "a vertex that is not finite"),
+        (binary_stl([]), "holds no triangles"),
+        (SOLID.format(name="a", z=0).encode() + SOLID.format(name="b", z=1).encode()[:-12], "has 2 facets, of which 1"),
+        (SOLID.format(name="a", z="x").encode(), "part.stl"),
+        (SOLID.format(name="a", z="").encode(), "part.stl"),
+    ],
+)
+def test_a_damaged_stl_is_refused(tmp_path, content, complaint):
+    path = stl(tmp_path, content)
+    with pytest.raises(BadInputError, match=r"part\.stl") as caught:
+        load_meshes(path)
+    assert complaint in str(caught.value)

@@ -74,6 +74,8 @@ READERS = (
     Reader("mesh obj texture", "textured/material_0.png", *_render_of("textured/box.obj"), text=False),
     Reader("mesh ply", "box.ply", *_render_of("box.ply")),
     Reader("mesh ply binary", "binary.ply", *_render_of("binary.ply"), text=False),
+    Reader("mesh stl", "ascii.stl", *_render_of("ascii.stl")),
+    Reader("mesh stl binary", "box.stl", *_render_of("box.stl"), text=False),
     *(
         Reader(f"trajectory {name}", name, (*_render_of("scene.toml")[0], option, name), ("device.toml", name, *SCENE))
         for option, name in (("--head", "head.txt"), ("--head", "head.csv"), ("--eye-track", "eyes.txt"), ("--eye-track", "gaze.txt"))
