@@ -145,6 +145,14 @@ def test_base_plane_beyond_the_target_and_unknown_kinds_are_refused():
         fit_see_through(captures, "point-per-pixel", 1)
 
 
+def test_a_base_plane_does_not_matter_to_a_model_that_has_none():
+    captures = see_through_captures(positions_in_plane(6))
+    behind = fit_see_through(captures, "static", 1, BasePlane(-0.5)).mapping
+    assert np.array_equal(
+        behind.deviation.coefficients, fit_see_through(captures, "static", 1).mapping.deviation.coefficients
+    )
+
+
 def test_noise_is_found_and_straight_rays_stay_straight():
     found = fit_see_through(see_through_captures(positions_in_plane(25), bend=straight, sigma_arcmin=1.0, seed=2))
     assert found.report.noise_arcmin == pytest.approx(1.0, rel=0.03)

@@ -30,7 +30,7 @@ from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet, PhotoSession
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 
 _NAMED = 3  # excluded photographs that an error message names
 
@@ -229,10 +229,10 @@ def sound_captures(
         _refuse_far_places(session, see_through.viewpoint)
     else:
         see_through = within_field(see_through, display)
-    see_through = select(see_through, dot_inliers(see_through, _visits(see_through)))
-    gone = see_through_outliers(see_through, _visits(see_through))
+    see_through = select(see_through, dot_inliers(see_through, see_through.visit))
+    gone = see_through_outliers(see_through, see_through.visit)
     excluded += [_exclusion(through[each.group][0].name, each) for each in gone]
-    see_through = select(see_through, ~np.isin(_visits(see_through), [each.group for each in gone]))
+    see_through = select(see_through, ~np.isin(see_through.visit, [each.group for each in gone]))
     return Captures(display, see_through), tuple(excluded)
 
 
@@ -240,11 +240,11 @@ def _of_targets(
     headset: Headset, bench: CalibratedBench, through: Sequence[tuple[BoardPhotograph, BoardObservation]]
 ) -> SeeThroughCaptures:
     """Return captures of the targets through the optics; photographs are numbered as visits."""
-    places = _place_numbers([each for each, _ in through])
+    places, state = _place_numbers([each for each, _ in through]), bench.adjustment.state
     targets = []
     for number, ((each, seen), place) in enumerate(zip(through, places, strict=True)):
-        pose, target = bench.device_from_camera(each), bench.targets[each.target_pose].b_from_a
-        point, lens = bench.target_points(each.target_pose, seen), bench.adjustment.state.lens_at(each.target_pose)
+        pose, target = bench.device_from_camera(each), state.targets[each.target_pose]
+        point, lens = bench.target_points(each.target_pose, seen), state.lens_at(each.target_pose)
         known = recorded_of(each) | {"visit": number, "capture": place, "target_pose": each.target_pose}
         targets.append(target_captures(headset, lens or bench.eyeball, pose, target, seen, point, **known))
     return joined_views(targets, "the target through the optics")
@@ -254,11 +254,6 @@ def _of_primary(session: PhotoSession, entry: CodeSet, samples: DecodedSamples) 
     """Return samples at the places on the panel where the primary that was shown lies in its pixels."""
     offset = session.panels[entry.eye].primary_offsets.get(entry.channel or "")
     return samples if offset is None else replace(samples, panel_pixel=samples.panel_pixel + offset)
-
-
-def _visits(captures: SeeThroughCaptures) -> IntArray:
-    """(n,) number of each row's photograph."""
-    return captures.visit
 
 
 def _place_numbers(photographs: Sequence[BoardPhotograph]) -> list[int]:

@@ -19,7 +19,7 @@ from wlr_render.calibration.fit_report import AnyModel, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import ARCMIN, normalised, tangents_of_dir
+from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
@@ -79,9 +79,8 @@ def _outliers(
 
 def dot_inliers(captures: SeeThroughCaptures, photograph: NDArray[np.int64]) -> BoolArray:
     """Return a mask (n,) of dots that follow the smooth field of their photograph, numbered by `photograph` (n,)."""
-    straight = normalised(captures.point - captures.viewpoint)
     seen = captures.tangents
-    displaced = (seen - tangents_of_dir(straight)) / ARCMIN
+    displaced = (seen - tangents_of_dir(captures.point - captures.viewpoint)) / ARCMIN
     follows = np.ones(len(captures), dtype=bool)
     for one in np.unique(photograph):
         rows = np.flatnonzero(photograph == one)

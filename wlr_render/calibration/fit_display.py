@@ -114,7 +114,7 @@ DISPLAY: Side[DisplayCaptures, FittedDisplay] = Side(
         "prescription": ModelKind(_readings, _model, needs_trend=True, is_trend_alone=True),
     },
     DISPLAY_LIMITS,
-    lambda captures, kind, plane: None,
+    lambda captures, kind, place: None,
     _lacking,
 )
 fit_display = DISPLAY.fit

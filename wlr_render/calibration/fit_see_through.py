@@ -43,8 +43,8 @@ def _on_plane(captures: SeeThroughCaptures, place: BasePlane, limits: Limits, tr
         by_tangents = -np.eye(2) - slope[:, :, 2:]
         return np.concatenate([by_place @ by_shift, by_place @ carried[rows] @ turned + by_tangents @ turned], axis=2)
 
-    observed = (captures.point[:, :2] - in_plane) / depth - tangents
-    return _readings(captures, in_plane, observed, depth, respond, limits, trend)
+    straight = (captures.point[:, :2] - in_plane) / depth
+    return _readings(captures, in_plane, straight, depth, respond, limits, trend)
 
 
 def _in_volume(captures: SeeThroughCaptures, place: OwnPlace, limits: Limits, trend: Trend | None) -> FitReadings:
@@ -59,7 +59,7 @@ def _in_volume(captures: SeeThroughCaptures, place: OwnPlace, limits: Limits, tr
 
     at_place = place.carry(captures.viewpoint, captures.tangents)
     moves = respond if place.coordinates else None
-    return _readings(captures, at_place, straight - captures.tangents, depth, moves, limits, trend)
+    return _readings(captures, at_place, straight, depth, moves, limits, trend)
 
 
 def _by_point(straight: FloatArray) -> FloatArray:
@@ -70,14 +70,17 @@ def _by_point(straight: FloatArray) -> FloatArray:
 def _readings(
     captures: SeeThroughCaptures,
     place: FloatArray,
-    observed: FloatArray,
+    straight: FloatArray,
     depth: FloatArray,
     respond: Respond | None,
     limits: Limits,
     trend: Trend | None,
 ) -> FitReadings:
-    """Return readings of observed (n, 2) = A(place, tangents) + B(place, tangents) / depth."""
-    places, straight = place.shape[1], observed + captures.tangents
+    """Return readings of straight (n, 2) - tangents = A(place, tangents) + B(place, tangents) / depth.
+
+    `straight` has the tangents of the straight line from the place to the point.
+    """
+    places = place.shape[1]
 
     def by_point(rows: slice) -> FloatArray:
         """Of (P - p~) / Z - t; that B / Z follows the depth as well is of second order."""
@@ -94,7 +97,7 @@ def _readings(
     return FitReadings(
         inputs=np.hstack([place, captures.tangents]),
         is_place=np.array([True] * places + [False, False]),
-        observed=observed,
+        observed=straight - captures.tangents,
         multiplier=np.hstack([np.ones_like(depth), 1.0 / depth]),
         metric=metric,
         sigma=captures.sigma_arcmin,
@@ -116,10 +119,10 @@ def _model(
     return SeeThroughModel(captures.eye_box, place, deviation, spread)
 
 
-def _check(captures: SeeThroughCaptures, kind: str, plane: BasePlane) -> None:
-    if np.any(plane.depth_of(captures.point) <= 0):
+def _check(captures: SeeThroughCaptures, kind: str, place: ModelPlace) -> None:
+    if isinstance(place, BasePlane) and np.any(place.depth_of(captures.point) <= 0):
         raise BadInputError(
-            f"the base plane, z = {plane.z:g} m, lies beyond some target points; correct the eye box or the base plane."
+            f"the base plane, z = {place.z:g} m, lies beyond some target points; correct the eye box or the base plane."
         )
     poses = len(np.unique(captures.target_pose))
     if poses < 2 and not SEE_THROUGH.kinds[kind].is_trend_alone:

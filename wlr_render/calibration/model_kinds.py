@@ -68,7 +68,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         subject: what the model's inputs are beside the place, "pixel" or "direction".
         kinds: by name; "planar" is one of them.
         limits: of the orders of the fit that finds which terms matter, and of all fits; see `smooth_search.fit_within`.
-        check: (captures, kind, plane), refuses captures that no fit is needed to refuse.
+        check: (captures, kind, place), refuses captures that no fit is needed to refuse.
         lacking: (captures, kind) -> what captures that do not determine a model lack, as the end of a sentence.
     """
 
@@ -76,7 +76,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
     subject: str
     kinds: Mapping[str, ModelKind[AnyCaptures, AnyModel]]
     limits: tuple[Limits, ...]
-    check: Callable[[AnyCaptures, str, BasePlane], None]
+    check: Callable[[AnyCaptures, str, ModelPlace], None]
     lacking: Callable[[AnyCaptures, str], str]
 
     def fit(
@@ -117,12 +117,12 @@ class Side(Generic[AnyCaptures, AnyModel]):
             )
         used = nearest_to_centre(captures) if how.place is NOWHERE else captures
         self._require_at_eye_box(used)
-        plane = base_plane or choose_base_plane(used.viewpoint, used.eye_box)
-        self.check(used, kind, plane)
+        place = how.place or base_plane or choose_base_plane(used.viewpoint, used.eye_box)
+        self.check(used, kind, place)
         limits = self.limits if degree is None else (Limits(degree, degree, degree),)
         if how.is_trend_alone:
             limits = (TREND_ALONE,)
-        readings_within = partial(how.readings, place=how.place or plane, trend=trend if how.needs_trend else None)
+        readings_within = partial(how.readings, place=place, trend=trend if how.needs_trend else None)
         try:
             smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights, stage)
         except UndeterminedModelError as error:
@@ -136,7 +136,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         if degree is None:  # a limit may be why no polynomial follows
             smooth.require_agreement(f"the {self.name} captures of {captures.device}", used.sigma_arcmin)
         readings_of = partial(_with_orders, readings_within, smooth.readings.orders)
-        mapping = how.model(used, how.place or plane, smooth.polynomial, smooth.spread)
+        mapping = how.model(used, place, smooth.polynomial, smooth.spread)
         contraction = require_unique(mapping.contraction(), kind, self.name)
         orders = smooth.readings.limits.words(self.subject, bool(smooth.readings.is_place.any()))
         return ModelFit(kind, mapping, used, smooth, readings_of, orders, contraction)

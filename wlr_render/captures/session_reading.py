@@ -123,16 +123,15 @@ def read_session(
     """
     panels, boards = list(_panel_tasks(session)), list(_board_tasks(session))
     tasks: list[_Task] = [*panels, *boards]  # the long ones first
-    kept = {task: result for task in tasks if (result := _kept(task, folder))}
-    waiting = [(task, folder) for task in tasks if task not in kept]
+    kept = {number: arrays for number, task in enumerate(tasks) if (arrays := _kept(task, folder))}
+    waiting = [(number, task, folder) for number, task in enumerate(tasks) if number not in kept]
     finished = as_finished(_do_task, waiting, workers.at_most(_MOST_WORKERS), folder)
-    outcomes = list(progress(finished, len(waiting), "photographs"))
-    read = {task: result for task, _ in waiting if (result := _kept(task, folder))} | kept
-    order = {task.name: number for number, task in enumerate(tasks)}
+    outcomes = dict(progress(finished, len(waiting), "photographs"))
+    read = kept | {number: each for number, each in outcomes.items() if not isinstance(each, Excluded)}
     return Reading(
-        {task.path: task.result(read[task]) for task in boards if task in read},
-        {task.path: task.result(read[task]) for task in panels if task in read},
-        tuple(sorted((each for each in outcomes if each), key=lambda each: order[each.name])),
+        {task.path: task.result(read[number]) for number, task in enumerate(boards, len(panels)) if number in read},
+        {task.path: task.result(read[number]) for number, task in enumerate(panels) if number in read},
+        tuple(each for _, each in sorted(outcomes.items()) if isinstance(each, Excluded)),
         len(kept),
     )
 
@@ -247,20 +246,21 @@ class _PanelTask:
 _Task = _BoardTask | _PanelTask
 
 
-def _do_task(work: tuple[_Task, Path]) -> Excluded | None:
-    """Read photographs and keep the result; returns the reason if that fails."""
-    task, folder = work
+def _do_task(work: tuple[int, _Task, Path]) -> tuple[int, dict[str, NDArray[Any]] | Excluded]:
+    """Read photographs and keep the result; return the task's number and the result, or why there is none."""
+    number, task, folder = work
     try:
-        arrays = task.read()
+        # Copies, because a view would hold the whole picture that it is of.
+        arrays = {name: np.array(value) for name, value in task.read().items()}
     except BadInputError as error:
         # A failed photograph of the board loses one position; a code without one of its pictures is lost as a whole.
         one_less = isinstance(error, BadPhotographError) and isinstance(task, _BoardTask)
         text = str(error)
         for prefix in (f"{task.path}: ", f"{task.name}: ", f"{task.path}/", f"{task.name}/"):
             text = text.removeprefix(prefix)
-        return Excluded(task.name, text.removesuffix("."), fault=not one_less)
+        return number, Excluded(task.name, text.removesuffix("."), fault=not one_less)
     write_arrays(_kept_path(task, folder), {"fingerprint": np.array(task.fingerprint())} | arrays)
-    return None
+    return number, arrays
 
 
 def _kept(task: _Task, folder: Path) -> dict[str, NDArray[Any]] | None:
