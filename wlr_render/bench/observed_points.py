@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
@@ -35,7 +35,9 @@ class ObservedPoints:
     def solved(self, rows: NDArray[np.int64] | slice = slice(None)) -> FloatArray:
         """Solve for the tangents (n, 2) of points from a cold start; NaN for points that are not seen."""
         mapping = TracedSeeThrough(self.optics, self.wavelength_um)
-        return tangents_of_dir(mapping.view_dir_of_real_point(self.point[rows], self.viewpoint[rows]).value)
+        found = mapping.view_dir_of_real_point(self.point[rows], self.viewpoint[rows])
+        assert found.warm_start is not None  # it holds the tangents that were solved for
+        return np.where((found.status == Status.OK)[:, None], found.warm_start, np.nan)
 
     def miss(self, tangents: FloatArray, rows: NDArray[np.int64] | slice = slice(None)) -> FloatArray:
         """Return the lateral miss of the world rays at the points' depth, over the distance, (n, 2)."""

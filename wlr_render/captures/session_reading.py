@@ -247,7 +247,7 @@ _Task = _BoardTask | _PanelTask
 
 
 def _do_task(work: tuple[int, _Task, Path]) -> tuple[int, dict[str, NDArray[Any]] | Excluded]:
-    """Read photographs and keep the result; return the task's number and the result, or why there is none."""
+    """Read photographs and keep the result; return the task's number, and the result or why it failed."""
     number, task, folder = work
     try:
         # Copies, because a view would hold the whole picture that it is of.

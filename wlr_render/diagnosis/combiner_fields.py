@@ -14,13 +14,11 @@ from wlr_render.bench.simulate_session import (
     dot_geometry,
     dot_pixels,
 )
-from wlr_render.diagnosis.cause import Cause, Parameter
 from wlr_render.diagnosis.causes.optics import of_optics
 from wlr_render.diagnosis.field_terms import (
     StationField,
     Terms,
     field_of,
-    lever_of,
     polynomials,
     smooth_terms,
 )
@@ -39,6 +37,7 @@ _OF_CAUSES = ("all surfaces", "reflecting surfaces")  # groups of surfaces with 
 _DEGREES = (4, 6, 8, 10, 12)  # degrees of heights over the whole combiner
 _SPOT_SHARES = (1.0, 0.65)  # sizes of the box relative to that around a spot; smaller boxes resolve more
 _SPOT_DEGREES = (3, 5, 7, 9, 11, 14)
+_HEIGHT_STEPS = np.full(3, 0.02)  # finite-difference steps of a height, um, and of its slopes, um/mm
 _PLACE = "place on the combiner"
 
 
@@ -54,19 +53,6 @@ def _with_height(optics: EyeOptics, values: FloatArray, *, path: str, step: int)
     steps[step] = getattr(other, path).steps[step]
     changed: dict[str, Any] = {path: Path(tuple(steps))}
     return replace(optics, **changed)
-
-
-def _height(path: str, step: int) -> Cause:
-    """Return a cause with a height where a path meets one surface: its derivative is the surface's lever there."""
-    return Cause(
-        "height",
-        "height added to a surface of the combiner",
-        "device",
-        (Parameter("piston", "um", 10.0), Parameter("slope_x", "um/mm", 10.0), Parameter("slope_y", "um/mm", 10.0)),
-        source="",
-        separated_by="",
-        variants={"": of_optics(partial(_with_height, path=path, step=step))},
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +78,7 @@ def _meetings(readings: WeighedReadings) -> list[_Meeting]:
     for path in ("display", "see_through"):
         for number, step in enumerate(getattr(readings.observations.nominal.optics, path).steps):
             place = footprints(predictor, path, number)
-            lever = lever_of(predictor, _height(path, number))
+            lever = predictor.lever(of_optics(partial(_with_height, path=path, step=number)), _HEIGHT_STEPS)
             # The levers of the slopes come from heights x and y about the middle, so the lever of a height is
             # subtracted.
             lever[:, :, 1:] -= lever[:, :, :1] * np.nan_to_num(place)[:, None, :]

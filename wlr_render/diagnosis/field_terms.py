@@ -9,8 +9,6 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from wlr_render.bench.bench_effects import AnyFunction, BenchEffect
-from wlr_render.diagnosis.cause import Cause
-from wlr_render.diagnosis.prediction import Hypothesis, Predictor
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.numerics.waves import LocalWaves, Wave
@@ -302,11 +300,3 @@ def over_rows(mask: BoolArray, values: FloatArray, elsewhere: float = 0.0) -> Fl
     full = np.full((len(mask), *values.shape[1:]), elsewhere)
     full[mask] = values
     return full
-
-
-def lever_of(predictor: Predictor, cause: Cause) -> FloatArray:
-    """Return the change (n, 2, k) of the readings, in sigma, by each parameter of a cause, at the nominal bench."""
-    at = predictor.signature(Hypothesis(cause, next(iter(cause.variants))))
-    lever = np.zeros((*at.residual.shape, len(cause.parameters)))
-    lever[:, :, at.free] = at.jacobian
-    return np.asarray(lever / at.explanation.prior_sigma)

@@ -14,7 +14,6 @@ import numpy as np
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.simulate_session import dot_geometry, panel_pixels
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
-from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.cells import Cells
@@ -52,7 +51,7 @@ class Observations:
     """A session ready to be compared with predictions.
 
     Attributes:
-        session: the readings; only rows that the nominal bench can predict.
+        session: the readings.
         nominal: the bench as its makers believe it to be.
         sigma_px: (n,) standard deviation of each reading per axis, camera pixels.
         panel_from_camera: (n_display, 2, 2) panel pixels per camera pixel at each display reading; none without any.
@@ -180,9 +179,13 @@ class Observations:
             keep[rows[order[most // len(present) :]]] = False
         return keep
 
+    def masks(self, keep: BoolArray) -> list[BoolArray]:
+        """Return a mask (n,) of all readings as one mask for each part."""
+        return [keep[self.part == part] for part in range(len(PART_NAMES))]
+
     def of_rows(self, keep: BoolArray) -> "Observations":
         """Return the readings that a mask (n,) selects."""
-        masks = [keep[self.part == part] for part in range(len(PART_NAMES))]
+        masks = self.masks(keep)
         plans: Iterable[Any] = self.session.plan.parts
         kept_plan = SessionPlan(
             *(None if plan is None else select_rows(plan, mask) for plan, mask in zip(plans, masks, strict=True))
@@ -202,13 +205,10 @@ def readings_of_rows(readings: Readings, masks: Sequence[BoolArray]) -> Readings
     return Readings(*(None if part is None else part[mask] for part, mask in zip(readings.parts, masks, strict=True)))
 
 
-def observe(nominal: Bench, session: Session, predicted: Readings) -> tuple[Observations, BoolArray]:
-    """Return the readings that the nominal bench predicts, and which of all rows (n,) these are.
-
-    Raises:
-        BadInputError: it can predict none.
-    """
-    plan, part = session.plan, all_parts(session.plan)
+def observed(nominal: Bench, session: Session) -> Observations:
+    """Return all readings of a session, whether the nominal bench predicts them or not."""
+    plan = session.plan
+    part = np.repeat(np.arange(len(PART_NAMES)), [0 if each is None else len(each) for each in plan.parts])
     pose = np.full(len(part), -1)
     if plan.see_through is not None:
         pose[part == SEE_THROUGH] = plan.see_through.target_pose
@@ -217,14 +217,7 @@ def observe(nominal: Bench, session: Session, predicted: Readings) -> tuple[Obse
     captures = tuple(CaptureName(*each) for each in names.tolist())
     jacobian = _panel_from_camera(nominal, plan)
     sigma = _stated_sigma(nominal, plan, part)
-    observations = Observations(session, nominal, sigma, jacobian, captures, group.reshape(-1), part)
-    predictable = np.asarray(np.isfinite(observations.residual(predicted)).all(axis=1))
-    if not predictable.any():
-        raise BadInputError(
-            f"{session.name}: the bench as described sees none of its {len(part)} readings; check the device, the "
-            "stage's origin and the target's poses."
-        )
-    return observations.of_rows(predictable), predictable
+    return Observations(session, nominal, sigma, jacobian, captures, group.reshape(-1), part)
 
 
 def _stated_sigma(nominal: Bench, plan: SessionPlan, part: IntArray) -> FloatArray:
@@ -235,12 +228,6 @@ def _stated_sigma(nominal: Bench, plan: SessionPlan, part: IntArray) -> FloatArr
         if table is not None and table.sigma_px is not None:
             sigma[part == number] = table.sigma_px
     return np.asarray(sigma)
-
-
-def all_parts(plan: SessionPlan) -> IntArray:
-    """Return the index into `PART_NAMES` of each reading of a plan (n,)."""
-    counts = [0 if part is None else len(part) for part in plan.parts]
-    return np.repeat(np.arange(len(PART_NAMES)), counts)
 
 
 @np.errstate(invalid="ignore")

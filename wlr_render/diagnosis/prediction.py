@@ -1,6 +1,6 @@
 """Predicted readings of a bench with causes at work, and their derivatives by the causes' values."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -8,15 +8,14 @@ import numpy as np
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.simulate_session import Views, simulate, simulate_to_first_order
 from wlr_render.captures.session import Readings, Session, SessionPlan
-from wlr_render.diagnosis.cause import Cause, Parameter, Role
+from wlr_render.diagnosis.cause import Cause, Parameter, Perturb, Role
 from wlr_render.diagnosis.observations import (
     DISPLAY,
     PART_NAMES,
     RUN_TIME,
     SEE_THROUGH,
     Observations,
-    all_parts,
-    observe,
+    observed,
     readings_of_rows,
 )
 from wlr_render.errors import BadInputError
@@ -165,9 +164,14 @@ class Predictor:
         Raises:
             BadInputError: the bench predicts no reading.
         """
-        state = _nominal_state(nominal, session.plan)
-        observations, predictable = observe(nominal, session, state.readings)
-        return cls(observations, _state_of_rows(state, observations, predictable, all_parts(session.plan)))
+        every = cls(observed(nominal, session))
+        predictable = np.asarray(np.isfinite(every.residual(Explanation())).all(axis=1))
+        if not predictable.any():
+            raise BadInputError(
+                f"{session.name}: the bench as described sees none of its {len(predictable)} readings; check the "
+                "device, the stage's origin and the target's poses."
+            )
+        return every.of_rows(predictable)
 
     def with_sigma(self, sigma_px: FloatArray) -> "Predictor":
         """Return the predictor of the same readings with another noise."""
@@ -175,8 +179,8 @@ class Predictor:
 
     def of_rows(self, keep: BoolArray) -> "Predictor":
         """Return the predictor of the readings in a mask (n,)."""
-        observations = self.observations.of_rows(keep)
-        return Predictor(observations, _state_of_rows(self._nominal, observations, keep, self.observations.part))
+        observations, masks = self.observations.of_rows(keep), self.observations.masks(keep)
+        return Predictor(observations, _state_of_rows(self._nominal, observations.session.plan, masks))
 
     def residual(self, explanation: Explanation) -> FloatArray:
         """Measured minus predicted, (n, 2), in units of sigma."""
@@ -224,6 +228,20 @@ class Predictor:
         explanation = Explanation().plus(hypothesis, values)
         return self.added(self.state(Explanation()), explanation)
 
+    def lever(self, change: Perturb, steps: FloatArray) -> FloatArray:
+        """Return the change (n, 2, k) of the readings, in sigma, by each value (k,) of a change of the nominal bench.
+
+        Args:
+            change: the change; zeros leave the bench as it is.
+            steps: (k,) steps of the forward differences, in the units of the values.
+        """
+        base = self._nominal
+        residual, columns = self.residual_of(base), []
+        for values in np.diag(steps):
+            by_step = self._by_step(base, residual, change, values)
+            columns.append(by_step / values.sum() if _acts(by_step) else np.zeros_like(residual))
+        return np.stack(columns, axis=-1)
+
     def extended(self, old: Linearisation, state: State, explanation: Explanation) -> Linearisation:
         """Return the linearisation by all parameters; derivatives of all causes but the last come from `old`.
 
@@ -243,23 +261,24 @@ class Predictor:
                 continue
             moved = vector.copy()
             moved[number] += _STEP * parameter.prior_sigma
-            ahead = self.observations.residual(self._near(explanation.at(moved), base))
-            # A reading that the step loses says nothing of the value.
-            column = np.nan_to_num((residual - ahead) / _STEP)
-            if np.max(np.abs(column), initial=0.0) > _NOTHING:
-                columns.append(column)
+            by_step = self._by_step(base, residual, lambda bench, vector: explanation.at(vector).bench(bench), moved)
+            if _acts(by_step):
+                columns.append(by_step / _STEP)
                 free.append(number)
         jacobian = np.stack(columns, axis=-1) if columns else np.zeros((*residual.shape, 0))
         return Linearisation(explanation, base, residual, jacobian, np.array(free, dtype=np.int64))
 
-    def _near(self, explanation: Explanation, base: State) -> Readings:
-        """Return the readings to first order in the change from a state; NaN if such a bench cannot exist."""
+    def _by_step(self, base: State, residual: FloatArray, change: Perturb, values: FloatArray) -> FloatArray:
+        """Return the change (n, 2) of the readings from a state to a changed nominal bench, to first order, in sigma.
+
+        A reading that the step loses, or a step to a bench that cannot exist, changes nothing.
+        """
         try:
-            bench = explanation.bench(self.observations.nominal)
+            bench = change(self.observations.nominal, values)
             found = simulate_to_first_order(bench, self._touched(bench, base), base.views)
         except BadInputError:
-            return _lost(base.readings)
-        return _merged(found, base.readings)
+            return np.zeros_like(residual)
+        return np.nan_to_num(residual - self.observations.residual(_merged(found, base.readings)))
 
     def _touched(self, bench: Bench, near: State) -> SessionPlan:
         """Return the parts of the session whose readings may differ between a bench and a state."""
@@ -285,15 +304,19 @@ def _lost(readings: Readings) -> Readings:
     return Readings(*(None if part is None else np.full_like(part, np.nan) for part in readings.parts))
 
 
+def _acts(by_step: FloatArray) -> bool:
+    """Return whether a step of `_STEP` prior sigmas changes readings by more than solves from other starts differ."""
+    return bool(np.max(np.abs(by_step), initial=0.0) > _NOTHING * _STEP)
+
+
 def _nominal_state(nominal: Bench, plan: SessionPlan) -> State:
     views = Views.of(nominal, plan)
     return State(nominal, simulate(nominal, plan, views), views)
 
 
-def _state_of_rows(state: State, kept: Observations, keep: BoolArray, part: IntArray) -> State:
-    """Return the state of the readings that a mask (n,) keeps; the readings belong to parts (n,)."""
-    masks = [keep[part == each] for each in range(len(PART_NAMES))]
-    plan, dots, run_time = kept.session.plan, state.views.dots, state.views.run_time
+def _state_of_rows(state: State, plan: SessionPlan, masks: Sequence[BoolArray]) -> State:
+    """Return the state of the rows that a mask of each part keeps; `plan` has these rows."""
+    dots, run_time = state.views.dots, state.views.run_time
     some = Views(
         None if plan.see_through is None or dots is None else dots.of_rows(plan.see_through, masks[SEE_THROUGH]),
         None if plan.run_time is None or run_time is None else run_time.of_rows(plan.run_time, masks[RUN_TIME]),

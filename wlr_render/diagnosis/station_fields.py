@@ -16,9 +16,9 @@ import numpy as np
 from wlr_render.bench.simulate_run_time import places_by_plan
 from wlr_render.bench.simulate_session import camera_positions, dot_pixels, simulate_to_first_order
 from wlr_render.captures.session import Readings, SeeThroughPlan, SessionPlan
-from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.cause import changed
 from wlr_render.diagnosis.combiner_fields import combiner_fields
-from wlr_render.diagnosis.field_terms import StationField, field_of, lever_of, smooth_terms
+from wlr_render.diagnosis.field_terms import StationField, field_of, smooth_terms
 from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.periodic_fields import screw_fields, stripe_fields
 from wlr_render.diagnosis.prediction import Explanation, Predictor
@@ -30,6 +30,9 @@ from wlr_render.numerics.polynomial import Box, total_degree
 _LINE_DEGREES = (1, 2, 5, 10, 16, 24)  # degrees of functions of the row or of the column
 _FEWEST_TIMES = 4  # fewest times that show a drift
 _STEP_M = 1e-5  # finite-difference step of a dot on the target
+_DELAY = changed("clock", "latency_s", lambda old, ms: old + 1e-3 * float(ms[0])), np.array([0.02])
+_PUPIL = changed("eye_tracking", "bias", lambda old, mm: old + 1e-3 * mm), np.full(3, 1e-3)
+"""Changes of the delay of the picture, ms, and of the pupil, mm, with their finite-difference steps."""
 
 
 def station_fields(
@@ -206,7 +209,7 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     seen = views.pixel
     rows, sigma = observations.part == RUN_TIME, observations.sigma_of(RUN_TIME)[:, :, None]
     shift, turn = np.eye(2) / sigma, _picture_turned(observations, seen[:, :2]) / sigma
-    delay, pupil = (lever_of(predictor, CAUSES[cause])[rows] for cause in ("latency", "eye_position_bias"))
+    delay, pupil = (predictor.lever(change, steps)[rows] for change, steps in (_DELAY, _PUPIL))
     places = places_by_plan(plan, views.drawn_at)
     for station, form, pixel in (("camera", "shift of the image", seen[:, 2:]), ("panel", "shift", views.drawn_at)):
         terms = smooth_terms(f"{station} pixels", pixel, 1, 2, 4, 6)

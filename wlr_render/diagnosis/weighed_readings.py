@@ -5,16 +5,16 @@ from functools import cached_property
 
 import numpy as np
 
-from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.field_terms import lever_of
+from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.noise import Noise
 from wlr_render.diagnosis.observations import RUN_TIME, Observations
 from wlr_render.diagnosis.prediction import Linearisation, Predictor
 from wlr_render.diagnosis.whitening import Whitening, shared_noise_whitening
+from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import BoolArray, FloatArray, rows_by_label
 from wlr_render.numerics.scatter import Scatter, ScatterSums
 
-_PER_MOTION = {"camera_pupil_offset": 1e3, "camera_rotation": float(np.radians(1e6))}  # um, urad in a cause's unit
+_STEPS = np.repeat([1.0, np.radians(600.0)], 3)  # steps of the camera's shift and turn: 1 um, then 600 udeg in urad
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +119,17 @@ def camera_motions(predictor: Predictor) -> FloatArray:
 
     Where dots are placed by a photograph without the headset, it is a motion between the two photographs.
     """
-    predictor = _of_placed_dots(predictor)
-    per_unit = [lever_of(predictor, CAUSES[name]) / per for name, per in _PER_MOTION.items()]
-    motions = np.concatenate(per_unit, axis=-1)
+    motions = _of_placed_dots(predictor).lever(_camera_moved, _STEPS)
     motions[predictor.observations.part == RUN_TIME] = 0.0
-    return np.asarray(motions)
+    return motions
+
+
+def _camera_moved(bench: Bench, motion: FloatArray) -> Bench:
+    """Return the bench with its camera shifted (3 micrometres) and turned (3 microradians) about its pupil."""
+    shift, turn = 1e-6 * motion[:3], rotations_of_vectors(1e-6 * motion[3:])
+    old = bench.camera
+    camera = replace(old, pupil_offset=old.pupil_offset + shift, device_from_camera=turn @ old.device_from_camera)
+    return replace(bench, camera=camera)
 
 
 def _of_placed_dots(predictor: Predictor) -> Predictor:
