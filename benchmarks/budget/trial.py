@@ -14,9 +14,9 @@ from wlr_render.budget.error_sizes import ErrorSizes, PerAxis, Truncation
 from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import REGIONS, region_of, variance
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
-from wlr_render.calibration.bench.half_turns import with_half_turns
-from wlr_render.calibration.calibrate_session import sound_captures
+from wlr_render.calibration.calibrate_session import with_half_turns
 from wlr_render.calibration.fit_eye import Calibration, calibrate
+from wlr_render.calibration.photograph_captures import sound_captures
 from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays, transforms

@@ -11,9 +11,9 @@ import numpy as np
 from benchmarks.rivals.numeric_regressor import NumericRegressor, Regressor
 from benchmarks.rivals.pinhole import direct_plane
 from benchmarks.rivals.samples import Samples, fit_structure
-from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_display import DISPLAY
 from wlr_render.calibration.fit_see_through import SEE_THROUGH
+from wlr_render.calibration.model_kinds import choose_base_plane
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.rivals.numeric_regressor import Regressor
-from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_report import AnyModel
-from wlr_render.calibration.model_kinds import Side, nearest_to_centre
+from wlr_render.calibration.model_kinds import Side, choose_base_plane, nearest_to_centre
 from wlr_render.calibration.readings import TREND_ALONE, FitReadings
 from wlr_render.captures.correspondences import AnyCaptures
 from wlr_render.models.model_place import NOWHERE

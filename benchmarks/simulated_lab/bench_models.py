@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 from benchmarks.simulated_lab.simulate_readings import SimulatedReadings
 from wlr_render.calibration.bench.board_views import TRACKING
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
-from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.calibration.photograph_captures import (
     Headset,
     panel_captures,
+    sound_captures,
     target_captures,
     within_field,
 )

@@ -13,7 +13,7 @@ from benchmarks.simulated_lab.bench_sigmas import SquaredErrors, errors_over_sig
 from benchmarks.simulated_lab.faults import NO_FAULTS, BoardMove, Exchange, Faults, HeadsetSlip, Shift
 from benchmarks.simulated_lab.simulate_readings import SimulatedReadings, simulate_readings
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
-from wlr_render.calibration.calibrate_session import sound_captures
+from wlr_render.calibration.photograph_captures import sound_captures
 from wlr_render.errors import BadInputError
 from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.photo_bench import Family, PhotoBenchOptions

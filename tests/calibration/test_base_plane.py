@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.calibration.base_plane import choose_base_plane
+from wlr_render.calibration.model_kinds import choose_base_plane
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wlr_render.calibration.capture_outliers import display_outliers, dot_inliers, see_through_outliers
+from wlr_render.calibration.photograph_captures import display_outliers, dot_inliers, see_through_outliers
 from wlr_render.captures.correspondences import select
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.optics.device_file import load_device

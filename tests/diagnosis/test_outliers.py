@@ -5,8 +5,8 @@ import pytest
 from diagnosis.small_session import SIGMA_PX, explanation, hypothesis, measured, weighed, with_motions
 
 from wlr_render.diagnosis.cause_selection import Search
+from wlr_render.diagnosis.findings import moved_captures, not_excluded
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, CaptureName
-from wlr_render.diagnosis.outliers import moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.numerics.scatter import Scatter
 

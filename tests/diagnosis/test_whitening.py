@@ -6,7 +6,7 @@ from diagnosis.small_session import measured, weighed
 from oracle.nature import smooth_field
 
 from wlr_render.diagnosis.observations import DISPLAY
-from wlr_render.diagnosis.whitening import Whitening, shared_noise_whitening
+from wlr_render.diagnosis.weighed_readings import Whitening, shared_noise_whitening
 from wlr_render.numerics.scatter import Scatter
 
 

@@ -1,38 +1,34 @@
-"""Calibrate the eyes of a headset from the photographs of a session: bench, captures in the device frame, models."""
+"""Calibrate the eyes of a headset from the photographs of a session: bench, captures in the device frame, models.
+
+Detection numbers the features of a board that looks the same turned by 180 degrees from either end. The right way round
+follows from the other photographs of the target: all cameras count as upright except the tracking camera, which has a
+known roll, so that the board's columns run the same way in all photographs of one target pose.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from wlr_render.calibration.bench.bench_checks import refuse_contradictions
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
-from wlr_render.calibration.bench.common_errors import with_bench_errors
-from wlr_render.calibration.bench.half_turns import with_half_turns
 from wlr_render.calibration.bench.lenses import RefusedViewsError
 from wlr_render.calibration.bench.station_file import save_station
-from wlr_render.calibration.capture_outliers import CaptureOutlier, display_outliers, dot_inliers, see_through_outliers
 from wlr_render.calibration.fit_eye import Calibration, KindComparison
-from wlr_render.calibration.photograph_captures import (
-    Headset,
-    joined_views,
-    panel_captures,
-    recorded_of,
-    target_captures,
-    within_field,
-)
-from wlr_render.captures.boards.board import BoardObservation
-from wlr_render.captures.capture_checks import far_from_eye_box
-from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, select
-from wlr_render.captures.decoded import DecodedSamples
-from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet, PhotoSession
+from wlr_render.calibration.photograph_captures import sound_captures
+from wlr_render.captures.boards.board import Board, BoardObservation
+from wlr_render.captures.correspondences import Captures
+from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, PhotoSession
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray
 
 _NAMED = 3  # excluded photographs that an error message names
+_CLEAR = 0.5  # cosine of the angle between two directions of the columns from which they count as alike: 60 degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,89 +189,59 @@ def _fitted(
     return EyeCalibration(session, main, kinds, excluded, primaries)
 
 
-def sound_captures(
-    session: PhotoSession, reading: Reading, bench: CalibratedBench
-) -> tuple[Captures, tuple[Excluded, ...]]:
-    """Return captures of one eye without those that were not taken where they are said to be, and which those are.
+def with_half_turns(session: PhotoSession, reading: Reading) -> Reading:
+    """Return the reading with the features of all photographs of a target pose numbered from the same end.
+
+    Photographs for a camera's lens need no such choice: each has a pose of its own.
 
     Raises:
-        BadInputError: all cameras stand far from the eye box: a pose or a length of session.toml is wrong.
+        BadInputError: a photograph shows the board rolled by 60 to 120 degrees from the others, or from the given pose.
     """
-    headset = Headset(session.device, session.eye, session.eye_box)
-    sets, through, excluded = reading.panels_of(session.display), reading.views_of(session.see_through), []
-    display: DisplayCaptures | None = None
-    if session.display:
-        panel, views = session.pattern.panel, []
-        for number, (each, found) in enumerate(sets):
-            pose, samples = bench.device_from_camera(each), _of_primary(session, each, found.samples)
-            known = recorded_of(each) | {"capture": number}
-            views.append(panel_captures(headset, panel, bench.eyeball, pose, samples, **known))
-        display = joined_views(views, "the panel")
-        _refuse_far_places(session, display.viewpoint)
-    see_through = _of_targets(headset, bench, through) if session.see_through else None
-    display, see_through = with_bench_errors(
-        bench,
-        None if display is None else (display, [each for each, _ in sets]),
-        None if see_through is None else (see_through, [each for each, _ in through]),
-    )
-    if display is not None:
-        colour = np.array([each.channel or "" for each, _ in sets])[display.capture]
-        moved = [each for name in np.unique(colour) for each in display_outliers(select(display, colour == name))]
-        excluded = [_exclusion(session.name_of(sets[each.group][0].folder), each) for each in moved]
-        display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
-    if see_through is None:
-        return Captures(display), tuple(excluded)
-    if display is None:
-        _refuse_far_places(session, see_through.viewpoint)
-    else:
-        see_through = within_field(see_through, display)
-    see_through = select(see_through, dot_inliers(see_through, see_through.visit))
-    gone = see_through_outliers(see_through, see_through.visit)
-    excluded += [_exclusion(through[each.group][0].name, each) for each in gone]
-    see_through = select(see_through, ~np.isin(see_through.visit, [each.group for each in gone]))
-    return Captures(display, see_through), tuple(excluded)
+    boards: dict[Path, BoardObservation] = dict(reading.boards)
+    along: dict[int, FloatArray] = {}
+    for photo, to_device in _photographs(session):
+        seen = reading.boards.get(photo.path)
+        if seen is None or not seen.ambiguous_half_turn:
+            continue
+        board = session.board_of(photo.target_pose)
+        columns = to_device @ np.append(_columns_in_image(board, seen), 0.0)
+        columns = columns[:2] / np.linalg.norm(columns[:2])
+        expected = along.setdefault(photo.target_pose, _expected(session, photo.target_pose, columns))
+        alike = float(columns @ expected)
+        if abs(alike) < _CLEAR:
+            raise BadInputError(
+                f"{photo.name}: the board looks the same turned by 180 degrees, and which way round it hangs at target "
+                f"pose {photo.target_pose} is not clear, because its columns run at {np.degrees(np.arccos(alike)):.0f} "
+                "degrees to the expected direction; keep cameras and board upright, or use a board that looks "
+                "different when turned."
+            )
+        if alike < 0:
+            boards[photo.path] = seen.half_turned(board)
+    return replace(reading, boards=boards)
 
 
-def _of_targets(
-    headset: Headset, bench: CalibratedBench, through: Sequence[tuple[BoardPhotograph, BoardObservation]]
-) -> SeeThroughCaptures:
-    """Return captures of the targets through the optics; photographs are numbered as visits."""
-    places, state = _place_numbers([each for each, _ in through]), bench.adjustment.state
-    targets = []
-    for number, ((each, seen), place) in enumerate(zip(through, places, strict=True)):
-        pose, target = bench.device_from_camera(each), state.targets[each.target_pose]
-        point, lens = bench.target_points(each.target_pose, seen), state.lens_at(each.target_pose)
-        known = recorded_of(each) | {"visit": number, "capture": place, "target_pose": each.target_pose}
-        targets.append(target_captures(headset, lens or bench.eyeball, pose, target, seen, point, **known))
-    return joined_views(targets, "the target through the optics")
+def _photographs(session: PhotoSession) -> Iterator[tuple[BoardPhotograph, FloatArray]]:
+    """Photographs of targets, each with device_from_camera (3, 3) of a camera that looks ahead, or the tracking one."""
+    for photo in chain(session.bare, session.beside, session.see_through):
+        yield photo, transforms.OPENXR_FROM_OPENCV
+    if session.device_from_tracking is not None:
+        for photo in session.tracking:
+            yield photo, session.device_from_tracking[:3, :3]
 
 
-def _of_primary(session: PhotoSession, entry: CodeSet, samples: DecodedSamples) -> DecodedSamples:
-    """Return samples at the places on the panel where the primary that was shown lies in its pixels."""
-    offset = session.panels[entry.eye].primary_offsets.get(entry.channel or "")
-    return samples if offset is None else replace(samples, panel_pixel=samples.panel_pixel + offset)
+def _expected(session: PhotoSession, target: int, first: FloatArray) -> FloatArray:
+    """(2,) unit vector, device frame, along the board's columns at a target pose.
+
+    Where the pose is not given, the turn of the target is free, and is that of its first photograph.
+    """
+    given = session.targets.get(target)
+    if given is not None:
+        return np.asarray(given.device_from[:2, 0] / np.linalg.norm(given.device_from[:2, 0]))
+    return np.array([1.0, 0.0]) if session.gauge_target == target else first
 
 
-def _place_numbers(photographs: Sequence[BoardPhotograph]) -> list[int]:
-    """Return a number for each photograph, the same for those of one camera place."""
-    numbers: dict[str, int] = {}
-    return [numbers.setdefault(each.place, len(numbers)) for each in photographs]
-
-
-def _exclusion(name: str, moved: CaptureOutlier) -> Excluded:
-    reason = (
-        f"its points lie {moved.arcmin:.0f}' from the positions predicted from the other photographs, as of another "
-        "stage reading or target pose than session.toml says, of something that moved, or of optics that no smooth "
-        "prediction follows there: compare its entry and its picture with those of its neighbours, or take it again."
-    )
-    return Excluded(name, reason, fault=True, off_arcmin=moved.arcmin)
-
-
-def _refuse_far_places(session: PhotoSession, viewpoint: FloatArray) -> None:
-    if (off := far_from_eye_box(viewpoint, session.eye_box)) is not None:
-        x, y, z = 1e3 * off
-        raise BadInputError(
-            f"{session.folder}: the camera places lie ({x:.0f}, {y:.0f}, {z:.0f}) mm (x right, y up, z backward) from "
-            "the middle of [eye_box]; check [tracking_camera] 'translation_mm' and 'rotation', 'frame' and "
-            "'centre_mm', and that the tracking photographs are of the target poses that their entries state."
-        )
+def _columns_in_image(board: Board, seen: BoardObservation) -> FloatArray:
+    """(2,) direction in the image in which the columns' numbers grow."""
+    place = board.point_of(seen.index)[:, :2]
+    design = np.concatenate([place, np.ones((len(place), 1))], axis=1)
+    return np.asarray(np.linalg.lstsq(design, seen.pixel, rcond=None)[0][0])

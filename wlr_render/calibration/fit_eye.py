@@ -9,7 +9,6 @@ import numpy as np
 
 from wlr_render.calibration import fit_display as display_fit
 from wlr_render.calibration import fit_see_through as see_through_fit
-from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_prescription import (
     FittedAssembly,
     Prescription,
@@ -20,6 +19,7 @@ from wlr_render.calibration.fit_prescription import (
     with_posterior,
 )
 from wlr_render.calibration.fit_report import ModelFit
+from wlr_render.calibration.model_kinds import choose_base_plane
 from wlr_render.calibration.readings import Trend
 from wlr_render.captures.correspondences import Captures
 from wlr_render.errors import BadInputError

@@ -1,24 +1,61 @@
-"""Convert observations in photographs to captures in the device frame."""
+"""Captures of one eye from its photographs, in the device frame, without photographs and dots that are outliers.
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+A fit finds the motion of the camera in each capture, and leaves out those that stand out from the others
+(`smooth_search`): photographs not taken at the stated position.
+
+Through the optics every dot is displaced from the straight line to it by an amount that varies smoothly over a
+photograph. A dot is an outlier if it does not follow that smooth field, or if its stated sigma is far above the
+others', as that of a dot cut by an aperture's edge is.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
+from wlr_render.calibration.bench.common_errors import with_bench_errors
+from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_report import AnyModel, ModelFit
+from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.boards.board import BoardObservation
-from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, concatenate, select
+from wlr_render.captures.capture_checks import far_from_eye_box
+from wlr_render.captures.correspondences import (
+    AnyCaptures,
+    Captures,
+    DisplayCaptures,
+    SeeThroughCaptures,
+    concatenate,
+    select,
+)
 from wlr_render.captures.decoded import DecodedSamples
-from wlr_render.captures.photo_session import CHANNELS, CodeSet, SessionEntry
+from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet, PhotoSession, SessionEntry
+from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.directions import ARCMIN
+from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.geometry.lens import Lens, radians_per_pixel
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 from wlr_render.usual import CAMERA_SYSTEMATIC_PX
 
 _BEYOND_FIELD = 0.05  # margin on each side of the panel's field: solves start and interpolate there
+_ROWS = 150  # rows of a capture that the search for outliers uses: a motion needs no more
+_DEGREE = 4  # degree of the fit that finds them: optics that follow a capture far off hide it
+_LEAST_ARCMIN = 2.0  # an error below it spoils no model
+
+_DOT_TOP_DEGREE = 4  # highest degree of the field of a photograph's dots: a misread dot is off by itself
+_DOTS_PER_TERM = 8  # fewest dots for each term, so that an outlier among them bends the field little
+_DOT_SIGMAS, _DOT_LEAST_ARCMIN = 8.0, 0.3
+"""An outlier is off by more than both: by what neither noise nor a field of higher degree leaves, and by a third of a
+camera pixel of 1', below which a dot is noisy but not misread."""
+_DOT_SIGMA_RATIO = 5.0  # largest sigma over the median of the photograph's dots: dots beyond it are cut or blurred
+_ROUNDS = 10  # outliers bend the field that they are judged by: the worst go first
+_AT_ONCE = 3.0  # factor below the worst at which a dot waits for the next round
+_MAD = 1.4826  # median absolute deviation to standard deviation
 
 
 @dataclass(frozen=True)
@@ -34,6 +71,107 @@ class Headset:
     device: str
     eye: str
     eye_box: EyeBox
+
+
+@dataclass(frozen=True)
+class CaptureOutlier:
+    """A capture that contradicts the others.
+
+    Attributes:
+        group: the number by which it was grouped.
+        arcmin: mean error over all it saw.
+    """
+
+    group: int
+    arcmin: float
+
+
+def sound_captures(
+    session: PhotoSession, reading: Reading, bench: CalibratedBench
+) -> tuple[Captures, tuple[Excluded, ...]]:
+    """Return captures of one eye without those that were not taken where they are said to be, and which those are.
+
+    Raises:
+        BadInputError: all cameras stand far from the eye box: a pose or a length of session.toml is wrong.
+    """
+    headset = Headset(session.device, session.eye, session.eye_box)
+    sets, through, excluded = reading.panels_of(session.display), reading.views_of(session.see_through), []
+    display: DisplayCaptures | None = None
+    if session.display:
+        panel, views = session.pattern.panel, []
+        for number, (each, found) in enumerate(sets):
+            pose, samples = bench.device_from_camera(each), _of_primary(session, each, found.samples)
+            known = recorded_of(each) | {"capture": number}
+            views.append(panel_captures(headset, panel, bench.eyeball, pose, samples, **known))
+        display = joined_views(views, "the panel")
+        _refuse_far_places(session, display.viewpoint)
+    see_through = _of_targets(headset, bench, through) if session.see_through else None
+    display, see_through = with_bench_errors(
+        bench,
+        None if display is None else (display, [each for each, _ in sets]),
+        None if see_through is None else (see_through, [each for each, _ in through]),
+    )
+    if display is not None:
+        colour = np.array([each.channel or "" for each, _ in sets])[display.capture]
+        moved = [each for name in np.unique(colour) for each in display_outliers(select(display, colour == name))]
+        excluded = [_exclusion(session.name_of(sets[each.group][0].folder), each) for each in moved]
+        display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
+    if see_through is None:
+        return Captures(display), tuple(excluded)
+    if display is None:
+        _refuse_far_places(session, see_through.viewpoint)
+    else:
+        see_through = within_field(see_through, display)
+    see_through = select(see_through, dot_inliers(see_through, see_through.visit))
+    gone = see_through_outliers(see_through, see_through.visit)
+    excluded += [_exclusion(through[each.group][0].name, each) for each in gone]
+    see_through = select(see_through, ~np.isin(see_through.visit, [each.group for each in gone]))
+    return Captures(display, see_through), tuple(excluded)
+
+
+def _of_targets(
+    headset: Headset, bench: CalibratedBench, through: Sequence[tuple[BoardPhotograph, BoardObservation]]
+) -> SeeThroughCaptures:
+    """Return captures of the targets through the optics; photographs are numbered as visits."""
+    places, state = _place_numbers([each for each, _ in through]), bench.adjustment.state
+    targets = []
+    for number, ((each, seen), place) in enumerate(zip(through, places, strict=True)):
+        pose, target = bench.device_from_camera(each), state.targets[each.target_pose]
+        point, lens = bench.target_points(each.target_pose, seen), state.lens_at(each.target_pose)
+        known = recorded_of(each) | {"visit": number, "capture": place, "target_pose": each.target_pose}
+        targets.append(target_captures(headset, lens or bench.eyeball, pose, target, seen, point, **known))
+    return joined_views(targets, "the target through the optics")
+
+
+def _of_primary(session: PhotoSession, entry: CodeSet, samples: DecodedSamples) -> DecodedSamples:
+    """Return samples at the places on the panel where the primary that was shown lies in its pixels."""
+    offset = session.panels[entry.eye].primary_offsets.get(entry.channel or "")
+    return samples if offset is None else replace(samples, panel_pixel=samples.panel_pixel + offset)
+
+
+def _place_numbers(photographs: Sequence[BoardPhotograph]) -> list[int]:
+    """Return a number for each photograph, the same for those of one camera place."""
+    numbers: dict[str, int] = {}
+    return [numbers.setdefault(each.place, len(numbers)) for each in photographs]
+
+
+def _exclusion(name: str, moved: CaptureOutlier) -> Excluded:
+    reason = (
+        f"its points lie {moved.arcmin:.0f}' from the positions predicted from the other photographs, as of another "
+        "stage reading or target pose than session.toml says, of something that moved, or of optics that no smooth "
+        "prediction follows there: compare its entry and its picture with those of its neighbours, or take it again."
+    )
+    return Excluded(name, reason, fault=True, off_arcmin=moved.arcmin)
+
+
+def _refuse_far_places(session: PhotoSession, viewpoint: FloatArray) -> None:
+    if (off := far_from_eye_box(viewpoint, session.eye_box)) is not None:
+        x, y, z = 1e3 * off
+        raise BadInputError(
+            f"{session.folder}: the camera places lie ({x:.0f}, {y:.0f}, {z:.0f}) mm (x right, y up, z backward) from "
+            "the middle of [eye_box]; check [tracking_camera] 'translation_mm' and 'rotation', 'frame' and "
+            "'centre_mm', and that the tracking photographs are of the target poses that their entries state."
+        )
 
 
 def panel_captures(
@@ -156,3 +294,61 @@ def _rows(
         "device_from_camera": pose[:3, :3] @ transforms.OPENXR_FROM_OPENCV,
     }
     return rows, sound
+
+
+def display_outliers(captures: DisplayCaptures) -> list[CaptureOutlier]:
+    """Return captures of the panel that contradict the others; none where there are too few to judge."""
+    return _outliers(captures, captures.capture, fit_display)
+
+
+def see_through_outliers(captures: SeeThroughCaptures, photograph: IntArray) -> list[CaptureOutlier]:
+    """Return photographs of the target that contradict the others; (n,) `photograph` numbers each row's."""
+    return _outliers(captures, photograph, fit_see_through)
+
+
+def _outliers(
+    captures: AnyCaptures, group: IntArray, fit: Callable[[AnyCaptures, str, int | None], ModelFit[AnyModel]]
+) -> list[CaptureOutlier]:
+    """Return the captures that a fit finds far from where they are said to be, if their error is one that matters."""
+    names = np.unique(group)
+    rows = np.concatenate(
+        [own[:: max(1, len(own) // _ROWS)] for own in (np.flatnonzero(group == name) for name in names)]
+    )
+    try:
+        smooth = fit(select(captures, rows), "planar", _DEGREE).smooth
+    except BadInputError:
+        return []  # so says the fit of all of them
+    found = [(int(group[rows][smooth.readings.capture == each.capture][0]), each.arcmin) for each in smooth.moved]
+    return [CaptureOutlier(name, arcmin) for name, arcmin in sorted(found) if arcmin > _LEAST_ARCMIN]
+
+
+def dot_inliers(captures: SeeThroughCaptures, photograph: NDArray[np.int64]) -> BoolArray:
+    """Return a mask (n,) of dots that follow the smooth field of their photograph, numbered by `photograph` (n,)."""
+    seen = captures.tangents
+    displaced = (seen - tangents_of_dir(captures.point - captures.viewpoint)) / ARCMIN
+    follows = np.ones(len(captures), dtype=bool)
+    for one in np.unique(photograph):
+        rows = np.flatnonzero(photograph == one)
+        sigma = captures.sigma_arcmin[rows]
+        sure = rows[sigma <= _DOT_SIGMA_RATIO * np.median(sigma)]
+        follows[rows] = False
+        follows[sure] = _smooth(seen[sure], displaced[sure])
+    return follows
+
+
+def _smooth(place: FloatArray, displaced: FloatArray) -> BoolArray:
+    """(n,) which of the values (n, 2) at places (n, 2) follow a polynomial through them."""
+    kept = np.ones(len(place), dtype=bool)
+    degree = next((n for n in range(_DOT_TOP_DEGREE, 0, -1) if term_count(2, n) * _DOTS_PER_TERM <= len(place)), 0)
+    if degree == 0:
+        return kept
+    design = basis(place, total_degree(2, degree), Box.around(place))
+    for _ in range(_ROUNDS):
+        coefficients = np.linalg.lstsq(design[kept], displaced[kept], rcond=None)[0]
+        off = np.linalg.norm(displaced - design @ coefficients, axis=1)
+        limit = max(_DOT_SIGMAS * _MAD * float(np.median(off[kept])), _DOT_LEAST_ARCMIN)
+        worst = float(off[kept].max())
+        if worst <= limit:
+            break
+        kept = off <= max(limit, worst / _AT_ONCE)
+    return kept

@@ -6,8 +6,7 @@ from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.noise import NoiseFloor
-from wlr_render.diagnosis.observations import Observations
-from wlr_render.diagnosis.outliers import MovedCapture
+from wlr_render.diagnosis.observations import CaptureName, Observations
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray, FloatArray
@@ -260,6 +259,27 @@ class MotionSize:
     shift_error_um: float
     turn_urad: float
     turn_error_urad: float
+
+
+@dataclass(frozen=True)
+class MovedCapture:
+    """An excluded capture.
+
+    Attributes:
+        capture: its name.
+        shift_mm: (3,) apparent shift of its camera, device frame; None where dots are located by a photograph without
+            the headset, which moves with the camera.
+        turn_deg: (3,) its apparent rotation; likewise.
+        rms_before, rms_after: its rms residual in units of sigma, without and with that move.
+        log10_odds: for the move against one of the usual size.
+    """
+
+    capture: CaptureName
+    shift_mm: tuple[float, ...] | None
+    turn_deg: tuple[float, ...] | None
+    rms_before: float
+    rms_after: float
+    log10_odds: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """Findings of a fit: causes with their values, detection limits, residuals, and their expected size."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from wlr_render.diagnosis.diagnosis import (
     DetectionLimit,
     FoundCause,
     MotionSize,
+    MovedCapture,
     ParameterValue,
     RankedCandidate,
     ResidualSummary,
@@ -25,13 +26,12 @@ from wlr_render.diagnosis.fit import (
     reduced_chi_squared,
     times_between_captures,
 )
-from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
-from wlr_render.diagnosis.outliers import MovedCapture
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, CaptureName, Observations
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.weighed_readings import WeighedReadings, camera_motions
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.scatter import LOG10_ODDS
-from wlr_render.numerics.scatter_search import scatter_errors
+from wlr_render.numerics.scatter import LOG10_ODDS, cost
+from wlr_render.numerics.scatter_search import motions_of, scatter_errors
 
 _RANKED = 8
 
@@ -215,3 +215,37 @@ def motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...
         for part in np.unique(readings.observations.part)
         if part != RUN_TIME and np.sum(sums.used & (sums.part_of == part)) > 1
     )
+
+
+def moved_captures(readings: WeighedReadings, found: Fit) -> list[MovedCapture]:
+    """Return the captures that moved according to a fit.
+
+    Run-time recordings have no camera pose and are never listed.
+    """
+    observations = readings.observations
+    sums = readings.sums_at(found.at)
+    motion, least = motions_of(sums, found.scatter), cost(sums, found.scatter)
+    made = []
+    for number in np.flatnonzero(found.scatter.moved):
+        rows = observations.group == number
+        before = readings.shared(found.at.residual)[rows]
+        after = before - readings.motions[rows] @ motion[number]
+        odds = LOG10_ODDS * (cost(sums, found.scatter.with_other(int(number))) - least)
+        shift, turn = (1e-3 * motion[number, :3]).tolist(), np.degrees(1e-6 * motion[number, 3:]).tolist()
+        name, rms = observations.captures[number], [float(np.sqrt(np.mean(each**2))) for each in (before, after)]
+        known = not _is_placed_by_bare(observations, name)
+        pose = [tuple(each) if known else None for each in (shift, turn)]
+        made.append(MovedCapture(name, pose[0], pose[1], rms[0], rms[1], odds))
+    return made
+
+
+def _is_placed_by_bare(observations: Observations, name: CaptureName) -> bool:
+    plan = observations.session.plan.see_through
+    return name.part == SEE_THROUGH and plan is not None and plan.bare_pixel is not None
+
+
+def not_excluded(observations: Observations, excluded: Sequence[MovedCapture]) -> BoolArray:
+    """Return the mask (n,) of readings of captures that are not excluded."""
+    names = {each.capture for each in excluded}
+    bad = [number for number, name in enumerate(observations.captures) if name in names]
+    return ~np.isin(observations.group, bad)

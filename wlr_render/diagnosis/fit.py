@@ -1,7 +1,7 @@
 """Fit the values of an explanation's causes to the readings of a bench, and the evidence for the explanation.
 
 Readings of a bench have three errors: noise, noise that neighbours share, and a random motion of the camera in each
-capture (`whitening`, `scatter`). Gauss-Newton with Levenberg's damping (D. W. Marquardt, "An Algorithm for
+capture (`weighed_readings`, `scatter`). Gauss-Newton with Levenberg's damping (D. W. Marquardt, "An Algorithm for
 Least-Squares Estimation of Nonlinear Parameters", SIAM J. 11 (1963) 431) on readings whose errors are made independent.
 """
 
@@ -17,8 +17,7 @@ from wlr_render.diagnosis.cause import Role
 from wlr_render.diagnosis.observations import RUN_TIME, Observations
 from wlr_render.diagnosis.prediction import Explanation, Linearisation, Predictor, State
 from wlr_render.diagnosis.settings import DEFAULT, Settings
-from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.diagnosis.whitening import Whitening
+from wlr_render.diagnosis.weighed_readings import WeighedReadings, Whitening
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.scatter import Known, Scatter, ScatterSums, cost, marginal
 from wlr_render.numerics.scatter_search import best_scatter

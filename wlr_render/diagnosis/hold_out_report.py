@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wlr_render.diagnosis.diagnosis import DiagnosisRecord
+from wlr_render.diagnosis.findings import not_excluded
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.held_out import held_out_residual, jackknife
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH
-from wlr_render.diagnosis.outliers import not_excluded
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.tables import OfCause
 from wlr_render.numerics.arrays import BoolArray, FloatArray

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.diagnosis.neighbour_noise import CLEARLY, NeighbourNoise, neighbour_noise
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, Observations
-from wlr_render.diagnosis.residual_surfaces import Surface, surfaces
+from wlr_render.diagnosis.residual_surfaces import CLEARLY, NeighbourNoise, Surface, neighbour_noise, surfaces
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.shared_noise import SharedNoise
 

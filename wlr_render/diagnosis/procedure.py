@@ -24,6 +24,7 @@ from wlr_render.diagnosis.diagnosis import (
     PARTLY,
     UNEXPLAINED,
     FoundCause,
+    MovedCapture,
     StationEffect,
     Unexplained,
 )
@@ -35,6 +36,8 @@ from wlr_render.diagnosis.findings import (
     detection_limits,
     found_cause,
     motion_sizes,
+    moved_captures,
+    not_excluded,
     residual_summary,
     usual_motion,
 )
@@ -43,7 +46,6 @@ from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.located_beside import Located, locate
 from wlr_render.diagnosis.noise import SIGNIFICANT_SE, Noise, NoiseFloor, measured_at_run_time, noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
-from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.report import Diagnosis
 from wlr_render.diagnosis.screening import hypotheses

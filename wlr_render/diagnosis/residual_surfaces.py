@@ -1,22 +1,44 @@
-"""Smooth surfaces through the residual of each photograph.
+"""Smooth surfaces through the residual of each photograph, and the noise that neighbouring readings share.
 
-The scatter about the surface estimates the noise; readings far from it are outliers.
+The scatter about the surface estimates the noise; readings far from it are outliers. Surfaces follow noise that
+neighbours share; what very smooth surfaces leave shows it, in photographs of many readings: its share of the variance,
+its reach and smoothness.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
+from wlr_render.numerics.shared_noise import Contrasts, SharedNoise, neighbour_distance
 
 _DEGREE = 6  # highest degree of a surface
 _ROWS_PER_COEFFICIENT = 2.5  # readings that each coefficient of an axis needs
 _OUTLIER = 6.0  # residual over the noise of its photograph; neither noise nor a smooth effect is so far off
 _OUTLIER_ROUNDS = 6  # most rejections of outliers
+CLEARLY = 4.5  # log likelihood that a further number must gain: three standard errors
+_SHARES = np.linspace(0.0, 0.95, 39)
+_REACHES = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # reaches of shared noise, in distances between neighbouring readings
+_USUAL_REACH, _REACH_RANGE = 1.7, 0.4  # prior of the reach in these distances: median, and sigma of its logarithm
+_PHOTOGRAPHS = (4, 40)  # fewest and most photographs searched for shared noise
+_WORK = 4e7  # largest cube of the readings of a photograph, times the photographs, searched for shared noise
+_MOST_READINGS = 250  # most readings of a photograph searched for shared noise
+_ENOUGH_IN_COMMON = 5  # photographs
+_ENOUGH_FOR_A_CUBIC = 80  # readings of a photograph
+_COMMON_DEGREE = 6  # degree of the residual common to photographs
+_SMOOTHEST = 3  # degree of effects of the bench in a photograph; finer structure may be shared noise
+_RANK = 1e-9  # relative singular value that counts as zero
+_MOST_TAKEN = 0.9  # largest share of a photograph's noise variance along one direction for which to correct
+_NEGLIGIBLE = 6.0  # log likelihood below the best one's from which a share is not counted
+_FEW_PHOTOGRAPHS = 8  # photographs from which the variance left by surfaces is computed
+_NOT_EXCLUDED = 2.0  # log likelihood that two standard errors cost
+
+_NOTHING_SHARED = SharedNoise(0.0, float("nan"), is_smooth=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,3 +134,146 @@ def _about_surface(
     leverage = np.sum((design @ solve) ** 2, axis=1)
     spread = np.sqrt(np.where(good, 1.0 - leverage, 1.0 + leverage).clip(1e-6))
     return left, leverage, np.linalg.norm(left, axis=1) / spread
+
+
+@dataclass(frozen=True)
+class NeighbourNoise:
+    """Noise that neighbours share.
+
+    Attributes:
+        shared: its field over the image, in pixels; of share 0 and length NaN where it is not clear.
+        kept: share of the whole variance that surfaces leave per degree of freedom, whatever is clear.
+        kept_error: its relative standard error.
+    """
+
+    shared: SharedNoise = _NOTHING_SHARED
+    kept: float = 1.0
+    kept_error: float = 0.0
+
+
+def neighbour_noise(
+    observations: Observations, residual: FloatArray, own: list[Surface], shape: FloatArray
+) -> NeighbourNoise:
+    """Return the noise that neighbours share in the photographs of a part.
+
+    By restricted maximum likelihood, from residuals of very smooth surfaces in some photographs (D. A. Harville,
+    "Maximum likelihood approaches to variance component estimation", J. Am. Stat. Assoc. 72 (1977), 320).
+
+    Args:
+        observations: the readings.
+        residual: (n, 2) in units of the stated sigma.
+        own: surfaces through the part's photographs.
+        shape: (n,) relative sigma of all readings.
+    """
+    if not own:
+        return NeighbourNoise()
+    readings = float(np.median([min(_MOST_READINGS, len(each.rows)) for each in own]))
+    step = int(np.ceil(len(own) / np.clip(_WORK / readings**3, *_PHOTOGRAPHS)))
+    chosen = own[step // 2 :: step]
+    incoherent = _incoherent(observations, residual, own)
+    places = [_nearest(observations, each) for each in chosen]
+    blocks = [_contrasts(observations, incoherent, rows, shape) for rows in places]
+    spacing = neighbour_distance([observations.image_place[rows] for rows in places])
+    white = sum(len(each.square) * np.log(np.trace(each.square).clip(1e-300)) for each in blocks)
+    gain, best = CLEARLY, _NOTHING_SHARED
+    every = list[tuple[SharedNoise, FloatArray]]()
+    for tried, is_smooth in product(_REACHES, (True, False)):
+        field, likelihood = SharedNoise(1.0, tried * spacing, is_smooth), np.zeros(len(_SHARES))
+        for each in blocks:
+            log, square = each.likelihood_terms(field, _SHARES)
+            likelihood -= log + len(each.square) * np.log(square.clip(1e-300))
+        likelihood -= 0.5 * (np.log(tried / _USUAL_REACH) / _REACH_RANGE) ** 2
+        likelihood += 2.0 * np.log1p(-_SHARES)  # a small share is likelier than a large one
+        every.append((field, likelihood + white))
+        at = int(np.argmax(likelihood))
+        if likelihood[at] + white > gain:
+            gain, best = float(likelihood[at] + white), replace(field, share=float(_SHARES[at]))
+    some = chosen[:: len(chosen) // _FEW_PHOTOGRAPHS + 1]
+    return NeighbourNoise(best, *_kept(observations, some, every))
+
+
+def _incoherent(observations: Observations, residual: FloatArray, own: list[Surface]) -> FloatArray:
+    """Return the residual (n, 2) less the part common to photographs of one colour or target pose, which is not noise.
+
+    That is a smooth function of the camera pixel which changes with the stage's position. A fit of it takes more of
+    smooth noise than of fine noise: of each photograph that is made good, as if all noise were white.
+    """
+    left, stage = residual.copy(), observations.of_captures("stage", 3)
+    kinds: dict[tuple[int, int], list[IntArray]] = {}
+    for each in own:
+        pose = observations.captures[observations.group[each.rows[0]]].target_pose
+        kinds.setdefault((pose, int(observations.photograph[each.rows[0]] % 3)), []).append(each.rows[each.good])
+    for photographs in kinds.values():
+        rows = np.concatenate(photographs)
+        if len(photographs) < _ENOUGH_IN_COMMON:
+            continue
+        place = Box.around(stage[rows]).scaled(stage[rows])
+        pixel, box = observations.image_place[rows], Box(np.zeros(2), observations.nominal.camera.size_px)
+        coarse = basis(pixel, total_degree(2, _SMOOTHEST), box)
+        swimming = [coarse * place[:, [axis]] for axis in range(3)]
+        design = np.concatenate([basis(pixel, total_degree(2, _COMMON_DEGREE), box), *swimming], axis=1)
+        span = np.linalg.svd(design, full_matrices=False)
+        axes = span[0][:, span[1] > _RANK * span[1][0]]
+        rest = residual[rows] - axes @ (axes.T @ residual[rows])
+        ends = np.cumsum([len(each) for each in photographs])[:-1]
+        for mine, taken, its_rest in zip(photographs, np.split(axes, ends), np.split(rest, ends), strict=True):
+            directions, singular, _ = np.linalg.svd(taken, full_matrices=False)
+            larger = (1.0 - np.minimum(singular**2, _MOST_TAKEN)) ** -0.5 - 1.0
+            left[mine] = its_rest + directions @ (larger[:, None] * (directions.T @ its_rest))
+    return left
+
+
+def _kept(
+    observations: Observations, own: Sequence[Surface], tried: Sequence[tuple[SharedNoise, FloatArray]]
+) -> tuple[float, float]:
+    """Return the share of the variance that surfaces leave per degree of freedom, and its relative error.
+
+    Over all shares that noise may have, weighed by likelihood: photographs of few readings do not show how much
+    neighbours share.
+
+    Args:
+        observations: the readings.
+        own: surfaces of some photographs.
+        tried: fields of shared noise, and the log likelihood of each of `_SHARES`.
+    """
+    best = max(float(likelihood.max()) for _, likelihood in tried)
+    weights, kept, possible = list[FloatArray](), list[FloatArray](), list[FloatArray]()
+    for field, likelihood in tried:
+        if likelihood.max() < best - _NEGLIGIBLE:
+            continue
+        left = np.mean([_left_of_shared(observations, each, field) for each in own])
+        kept.append(1.0 - _SHARES * (1.0 - left))
+        weights.append(np.exp(likelihood - best))
+        possible.append(kept[-1][likelihood > best - _NOT_EXCLUDED])
+    weight, shares = np.concatenate(weights), np.concatenate(kept)
+    # Noise is as often white as not.
+    weight[shares == 1.0] *= np.sum(shares < 1.0) / np.sum(shares == 1.0)
+    whole = float(np.average(1.0 / shares, weights=weight))
+    spread = float(np.sqrt(np.average((1.0 / shares - whole) ** 2, weights=weight)))
+    most = 1.0 / float(np.min(np.concatenate(possible)))
+    return 1.0 / whole, max(spread, 0.5 * (most - whole)) / whole
+
+
+def _left_of_shared(observations: Observations, surface: Surface, field: SharedNoise) -> float:
+    """Return the mean square per degree of freedom that a surface leaves of shared noise of unit variance."""
+    place = observations.image_place[surface.rows[surface.good]]
+    axes = np.linalg.qr(surface.design[surface.good])[0]
+    taken = float(np.sum(axes * (field.correlation(place) @ axes)))
+    return (len(place) - taken) / (len(place) - surface.terms)
+
+
+def _nearest(observations: Observations, surface: Surface) -> IntArray:
+    """Return good readings (m,) of a photograph: those nearest to the middle of all."""
+    rows = surface.rows[surface.good]
+    if len(rows) <= _MOST_READINGS:
+        return rows
+    place = observations.image_place[rows]
+    return rows[np.argsort(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))[:_MOST_READINGS]]
+
+
+def _contrasts(observations: Observations, residual: FloatArray, rows: IntArray, shape: FloatArray) -> Contrasts:
+    """Return contrasts of some readings of a photograph that no very smooth surface changes."""
+    place = observations.image_place[rows]
+    degree = _SMOOTHEST if len(rows) >= _ENOUGH_FOR_A_CUBIC else _SMOOTHEST - 1
+    design = basis(place, total_degree(2, degree), Box.around(place)) / shape[rows][:, None]
+    return Contrasts.of(place, design, residual[rows] / shape[rows][:, None])

@@ -5,12 +5,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wlr_render.diagnosis.diagnosis import DiagnosisRecord, FoundCause
+from wlr_render.diagnosis.diagnosis import DiagnosisRecord, FoundCause, MovedCapture
 from wlr_render.diagnosis.findings import rms_of_captures
 from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse
 from wlr_render.diagnosis.observations import PART_NAMES, PART_UNITS
-from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.report_warnings import stated_prior
 from wlr_render.diagnosis.verdict_sentences import AXES_NOTE, RESIDUALS, odds_text, undetermined_parts, value_text
 from wlr_render.report.blocks import Cell, ReportTable, quantity, table, value_and_error

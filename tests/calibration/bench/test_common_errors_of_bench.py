@@ -7,7 +7,7 @@ from small_photo_session import with_stated_lenses
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration.bench.calibrate_bench import calibrate_bench, place_key
 from wlr_render.calibration.bench.common_errors import SOURCES
-from wlr_render.calibration.calibrate_session import sound_captures
+from wlr_render.calibration.photograph_captures import sound_captures
 from wlr_render.calibration.poses import adjoint
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN

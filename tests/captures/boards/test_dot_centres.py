@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.boards.dot_centres import measure_dots
-from wlr_render.captures.boards.dot_detection import find_dots
+from wlr_render.captures.boards.dot_lattice import find_dots
 
 FINE = 8  # rays per pixel and axis
 

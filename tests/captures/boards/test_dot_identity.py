@@ -6,7 +6,7 @@ from captures.boards.board_pictures import BOARD
 
 from wlr_render.captures.boards.board import BoardNotFoundError
 from wlr_render.captures.boards.board_design import WINDOW, design_board
-from wlr_render.captures.boards.dot_identity import identify
+from wlr_render.captures.boards.dot_board import identify
 
 TURNS = [np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), q) for q in range(4)]
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.captures.boards.dot_detection import Dots
-from wlr_render.captures.boards.dot_lattice import link_lattices
+from wlr_render.captures.boards.dot_lattice import Dots, link_lattices
 from wlr_render.geometry.transforms import rotation_about
 
 INDEX = np.stack(np.meshgrid(np.arange(16), np.arange(12)), axis=-1).reshape(-1, 2)

@@ -10,7 +10,7 @@ import pytest
 from small_photo_session import BLACK, blown_out
 
 from wlr_render.calibration.bench.calibrate_bench import calibrate_bench
-from wlr_render.calibration.calibrate_session import sound_captures
+from wlr_render.calibration.photograph_captures import sound_captures
 from wlr_render.calibration.poses import motion_between
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_file import save_board

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.boards.dot_detection import Dots
+from wlr_render.captures.boards.dot_lattice import Dots
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _SIZE_STEP_PX = 4  # half sides of patches are rounded up to multiples, so that there are few sizes

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from wlr_render.captures.boards.board import BoardNotFoundError
-from wlr_render.captures.boards.dot_detection import LEAST_AREA_PX
-from wlr_render.captures.boards.dot_identity import identify
+from wlr_render.captures.boards.dot_board import identify
+from wlr_render.captures.boards.dot_lattice import LEAST_AREA_PX
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import (

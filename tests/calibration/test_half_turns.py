@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from calibration.bench.imperfect_bench import turned
 
-from wlr_render.calibration.bench.half_turns import with_half_turns
+from wlr_render.calibration.calibrate_session import with_half_turns
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.boards.chessboard import Chessboard
 from wlr_render.captures.photo_session import BoardPhotograph, GivenPose
