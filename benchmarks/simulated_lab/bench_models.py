@@ -10,7 +10,6 @@ from wlr_render.calibration.bench.board_views import TRACKING
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.calibration.photograph_captures import (
-    Headset,
     panel_captures,
     sound_captures,
     target_captures,
@@ -92,16 +91,14 @@ def _nominal(simulated: SimulatedReadings) -> tuple[FloatArray, FloatArray]:
 def _exact(simulated: SimulatedReadings, display: FloatArray, see_through: FloatArray) -> Captures:
     """Return captures with the true lenses, board and targets, and the given camera poses (n, 4, 4)."""
     session, truth, reading = simulated.session, simulated.truth, simulated.reading
-    headset = Headset(session.device, session.eye, session.eye_box)
-    camera, panel = truth.bench.eyeball.camera, session.pattern.panel
+    camera = truth.bench.eyeball.camera
     decoded = [
         (pose, reading.panels[each.folder].samples)
         for each, pose in zip(session.display, display, strict=True)
         if each.folder in reading.panels
     ]
     panels = [
-        panel_captures(headset, panel, camera, pose, samples, capture=number)
-        for number, (pose, samples) in enumerate(decoded)
+        panel_captures(session, camera, pose, samples, capture=number) for number, (pose, samples) in enumerate(decoded)
     ]
     index = {tuple(each): k for k, each in enumerate(session.board.indices())}
     places: dict[str, int] = {}
@@ -111,7 +108,7 @@ def _exact(simulated: SimulatedReadings, display: FloatArray, see_through: Float
             point = truth.bench.printed.points[[index[tuple(one)] for one in seen.index]]
             known = {"capture": places.setdefault(each.place, len(places)), "target_pose": each.target_pose}
             lens, target = truth.eyeball_at_target[each.target_pose], truth.see_through_targets[number]
-            targets.append(target_captures(headset, lens, pose, target, seen, point, visit=len(targets), **known))
+            targets.append(target_captures(session, lens, pose, target, seen, point, visit=len(targets), **known))
     shown = concatenate(panels)
     return Captures(shown, within_field(concatenate(targets), shown))
 

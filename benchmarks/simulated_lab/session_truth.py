@@ -16,7 +16,6 @@ from benchmarks.simulated_lab.faults import Faults
 from wlr_render.calibration.calibrate_session import SessionCalibration
 from wlr_render.calibration.fit_eye import Calibration, calibrate
 from wlr_render.calibration.photograph_captures import (
-    Headset,
     panel_captures,
     target_captures,
     within_field,
@@ -93,7 +92,6 @@ def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random
     session, bench, camera = found.session, truth.bench, truth.bench.eyeball.camera
     poses = dict(zip((each.folder for each in session.display), truth.display, strict=True))
     poses |= dict(zip((each.path for each in session.see_through), truth.see_through, strict=True))
-    headset = Headset(session.device, session.eye, session.eye_box)
     panels: list[DisplayCaptures] = []
     for each, panel in found.reading.panels_of(session.display):
         pose, samples = poses[each.folder], panel.samples
@@ -101,7 +99,7 @@ def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random
         noise = rng.normal(size=seen.value.shape) * samples.sigma_px[:, None]
         whole = DecodedSamples(samples.camera_pixel, seen.value + noise, samples.sigma_px, samples.scale)
         shown = _rows(whole, seen.usable)
-        panels.append(panel_captures(headset, session.pattern.panel, camera, pose, shown, capture=len(panels)))
+        panels.append(panel_captures(session, camera, pose, shown, capture=len(panels)))
     targets = []
     places: dict[str, int] = {}
     for photograph, observation in found.reading.views_of(session.see_through):
@@ -116,7 +114,7 @@ def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random
             "capture": places.setdefault(photograph.place, len(places)),
             "target_pose": photograph.target_pose,
         }
-        targets.append(target_captures(headset, camera, pose, target, whole_observation, on_target[sound], **known))
+        targets.append(target_captures(session, camera, pose, target, whole_observation, on_target[sound], **known))
     display = concatenate(panels)
     return Captures(display, within_field(concatenate(targets), display))
 

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from wlr_render.calibration.photograph_captures import (
-    Headset,
     joined_views,
     panel_captures,
     recorded_of,
@@ -25,8 +25,12 @@ from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox, Panel
 
 CAMERA = LensCamera((640, 480), np.array([700.0, 700.0]), np.array([320.0, 240.0]), np.array([-0.1, 0, 0, 0, 0]))
-HEADSET = Headset("headset", "right", EyeBox(np.zeros(3), np.full(3, 0.01)))
-PANEL = Panel(20, 10)
+SESSION = SimpleNamespace(
+    device="headset",
+    eye="right",
+    eye_box=EyeBox(np.zeros(3), np.full(3, 0.01)),
+    pattern=SimpleNamespace(panel=Panel(20, 10)),
+)
 POSE = transforms.rigid(
     transforms.rotation_about("y", 0.1) @ transforms.OPENXR_FROM_OPENCV, np.array([0.002, 0.001, 0.03])
 )
@@ -40,7 +44,7 @@ def test_a_target_seen_without_optics_lies_where_it_is_seen():
     pixel = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), point))
     observation = BoardObservation(index, pixel, np.full(len(index), 0.07))
     on_target = board.point_of(observation.index)
-    captures = target_captures(HEADSET, CAMERA, POSE, target, observation, on_target, target_pose=3, capture=5)
+    captures = target_captures(SESSION, CAMERA, POSE, target, observation, on_target, target_pose=3, capture=5)
     straight = normalised(captures.point - captures.viewpoint)
     assert np.max(arcmin_between(captures.view_dir, straight)) < 1e-6
     assert set(captures.target_pose) == {3}
@@ -67,7 +71,7 @@ def test_sigma_of_a_direction_is_that_of_its_pixel_at_every_angle(camera, angle_
     noise = np.random.default_rng(1).normal(0.0, 0.1, (20_000, 2))
     count = len(noise)
     samples = DecodedSamples(at + noise, np.full((count, 2), 5.0), np.full(count, 0.1), np.ones(count))
-    captures = panel_captures(HEADSET, PANEL, camera, ahead, samples, capture=0)
+    captures = panel_captures(SESSION, camera, ahead, samples, capture=0)
     mean = normalised(captures.view_dir.mean(axis=0))
     across = normalised(np.cross(mean, [0.0, 1.0, 0.0]))
     spread = np.cov(captures.view_dir @ np.stack([across, np.cross(mean, across)], axis=1), rowvar=False)
@@ -79,8 +83,8 @@ def test_sigma_of_a_direction_is_that_of_its_pixel_at_every_angle(camera, angle_
 def test_what_is_recorded_of_photographs_is_kept_and_the_camera_looks_along_its_minus_z():
     samples = DecodedSamples(np.full((3, 2), 200.5), np.full((3, 2), 5.0), np.full(3, 0.1), np.full(3, 2.0))
     taken = CodeSet(Path("set"), stage=np.array([0.01, 0.02]), channel="blue", time_s=40.0)
-    first = panel_captures(HEADSET, PANEL, CAMERA, POSE, samples, capture=0, **recorded_of(taken))
-    captures = joined_views([first, panel_captures(HEADSET, PANEL, CAMERA, POSE, samples, capture=1)], "the panel")
+    first = panel_captures(SESSION, CAMERA, POSE, samples, capture=0, **recorded_of(taken))
+    captures = joined_views([first, panel_captures(SESSION, CAMERA, POSE, samples, capture=1)], "the panel")
     assert captures.channel.tolist() == [2, 2, 2, -1, -1, -1]
     np.testing.assert_array_equal(captures.time_s[:3], 40.0)
     np.testing.assert_array_equal(captures.stage[:3], [[0.01, 0.02]] * 3)
@@ -93,7 +97,7 @@ def test_what_is_recorded_of_photographs_is_kept_and_the_camera_looks_along_its_
 def test_decoded_noise_becomes_an_angle_by_the_scale_of_the_picture():
     pixel = np.array([[330.5, 240.0], [320.0, 240.0]])
     samples = DecodedSamples(pixel, np.array([[5.0, 6.0], [7.0, 8.0]]), np.array([0.1, 0.2]), np.array([2.0, 2.0]))
-    captures = panel_captures(HEADSET, PANEL, CAMERA, POSE, samples, capture=0)
+    captures = panel_captures(SESSION, CAMERA, POSE, samples, capture=0)
     # 0.1 panel pixels at 2 panel pixels a camera pixel are 0.05 camera pixels.
     assert captures.sigma_arcmin == pytest.approx(np.hypot([0.05, 0.1], 0.01) / 700 / ARCMIN, rel=1e-3)
     assert captures.capture.tolist() == [0, 0]
@@ -114,10 +118,10 @@ def test_dots_beyond_the_panel_s_field_are_left_out():
     pixel = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), point))
     observation = BoardObservation(index, pixel, np.full(len(index), 0.05))
     on_target = board.point_of(index)
-    see_through = target_captures(HEADSET, CAMERA, POSE, target, observation, on_target, capture=0, target_pose=0)
+    see_through = target_captures(SESSION, CAMERA, POSE, target, observation, on_target, capture=0, target_pose=0)
     corners = np.array([[200.0, 160.0], [440.0, 320.0]])
     samples = DecodedSamples(corners, np.zeros((2, 2)), np.ones(2), np.ones(2))
-    display = panel_captures(HEADSET, PANEL, CAMERA, POSE, samples, capture=0)
+    display = panel_captures(SESSION, CAMERA, POSE, samples, capture=0)
     kept = within_field(see_through, display)
     seen = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), kept.point))
     # The field is a box of tangents in the device frame, a twentieth larger on each side.

@@ -61,7 +61,7 @@ def test_carrying_to_the_base_plane_stays_on_the_ray(lead, slope):
     np.testing.assert_allclose(rays.distance_to_point(ray, carried), 0, atol=1e-14)
     np.testing.assert_allclose(carried[..., 2], plane.z + carried[..., :2] @ slope, atol=1e-14)
     np.testing.assert_allclose(rays.at_z(ray, carried[..., 2])[..., :3], carried, atol=1e-12)
-    np.testing.assert_allclose(plane.depth_of(carried), 0, atol=1e-14)
+    np.testing.assert_allclose(plane.height_of(carried), 0, atol=1e-14)
     np.testing.assert_allclose(plane.carry(carried, tangents), carried[..., :2], atol=1e-14)
 
 

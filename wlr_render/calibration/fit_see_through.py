@@ -120,7 +120,7 @@ def _model(
 
 
 def _check(captures: SeeThroughCaptures, kind: str, place: ModelPlace) -> None:
-    if isinstance(place, BasePlane) and np.any(place.depth_of(captures.point) <= 0):
+    if isinstance(place, BasePlane) and np.any(place.height_of(captures.point) >= 0):
         raise BadInputError(
             f"the base plane, z = {place.z:g} m, lies beyond some target points; correct the eye box or the base plane."
         )

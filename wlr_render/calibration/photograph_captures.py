@@ -37,7 +37,6 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.geometry.lens import Lens, radians_per_pixel
-from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 from wlr_render.usual import CAMERA_SYSTEMATIC_PX
@@ -56,21 +55,6 @@ _DOT_SIGMA_RATIO = 5.0  # largest sigma over the median of the photograph's dots
 _ROUNDS = 10  # outliers bend the field that they are judged by: the worst go first
 _AT_ONCE = 3.0  # factor below the worst at which a dot waits for the next round
 _MAD = 1.4826  # median absolute deviation to standard deviation
-
-
-@dataclass(frozen=True)
-class Headset:
-    """The headset and eye that captures belong to.
-
-    Attributes:
-        device: its name.
-        eye: "left" or "right".
-        eye_box: where the pupil may be, device frame.
-    """
-
-    device: str
-    eye: str
-    eye_box: EyeBox
 
 
 @dataclass(frozen=True)
@@ -94,18 +78,17 @@ def sound_captures(
     Raises:
         BadInputError: all cameras stand far from the eye box: a pose or a length of session.toml is wrong.
     """
-    headset = Headset(session.device, session.eye, session.eye_box)
     sets, through, excluded = reading.panels_of(session.display), reading.views_of(session.see_through), []
     display: DisplayCaptures | None = None
     if session.display:
-        panel, views = session.pattern.panel, []
+        views = []
         for number, (each, found) in enumerate(sets):
             pose, samples = bench.device_from_camera(each), _of_primary(session, each, found.samples)
             known = recorded_of(each) | {"capture": number}
-            views.append(panel_captures(headset, panel, bench.eyeball, pose, samples, **known))
+            views.append(panel_captures(session, bench.eyeball, pose, samples, **known))
         display = joined_views(views, "the panel")
         _refuse_far_places(session, display.viewpoint)
-    see_through = _of_targets(headset, bench, through) if session.see_through else None
+    see_through = _of_targets(session, bench, through) if session.see_through else None
     display, see_through = with_bench_errors(
         bench,
         None if display is None else (display, [each for each, _ in sets]),
@@ -130,7 +113,7 @@ def sound_captures(
 
 
 def _of_targets(
-    headset: Headset, bench: CalibratedBench, through: Sequence[tuple[BoardPhotograph, BoardObservation]]
+    session: PhotoSession, bench: CalibratedBench, through: Sequence[tuple[BoardPhotograph, BoardObservation]]
 ) -> SeeThroughCaptures:
     """Return captures of the targets through the optics; photographs are numbered as visits."""
     places, state = _place_numbers([each for each, _ in through]), bench.adjustment.state
@@ -139,7 +122,7 @@ def _of_targets(
         pose, target = bench.device_from_camera(each), state.targets[each.target_pose]
         point, lens = bench.target_points(each.target_pose, seen), state.lens_at(each.target_pose)
         known = recorded_of(each) | {"visit": number, "capture": place, "target_pose": each.target_pose}
-        targets.append(target_captures(headset, lens or bench.eyeball, pose, target, seen, point, **known))
+        targets.append(target_captures(session, lens or bench.eyeball, pose, target, seen, point, **known))
     return joined_views(targets, "the target through the optics")
 
 
@@ -175,13 +158,12 @@ def _refuse_far_places(session: PhotoSession, viewpoint: FloatArray) -> None:
 
 
 def panel_captures(
-    headset: Headset, panel: Panel, camera: Lens, pose: FloatArray, samples: DecodedSamples, **columns: Any
+    session: PhotoSession, camera: Lens, pose: FloatArray, samples: DecodedSamples, **columns: Any
 ) -> DisplayCaptures:
     """Return captures of the panel decoded at one camera pose.
 
     Args:
-        headset: the headset.
-        panel: its panel.
+        session: session of one eye.
         camera: the lens; it has OpenCV's axes.
         pose: (4, 4) device_from_camera.
         samples: the decoded panel positions.
@@ -191,12 +173,12 @@ def panel_captures(
         BadInputError: the camera does not look at the optics.
     """
     # The uncertainty of a decoded panel position becomes one of its direction, in camera pixels.
-    rows, sound = _rows(headset, camera, pose, samples.camera_pixel, samples.sigma_px / samples.scale)
-    return DisplayCaptures(panel=panel, pixel=samples.panel_pixel[sound], **rows, **columns)
+    rows, sound = _rows(session, camera, pose, samples.camera_pixel, samples.sigma_px / samples.scale)
+    return DisplayCaptures(panel=session.pattern.panel, pixel=samples.panel_pixel[sound], **rows, **columns)
 
 
 def target_captures(
-    headset: Headset,
+    session: PhotoSession,
     camera: Lens,
     pose: FloatArray,
     device_from_target: FloatArray,
@@ -207,7 +189,7 @@ def target_captures(
     """Return captures of the target observed through the optics at one camera pose.
 
     Args:
-        headset, pose, **columns: as in `panel_captures`.
+        session, pose, **columns: as in `panel_captures`.
         camera: the lens as it is at this target's distance.
         device_from_target: (4, 4).
         observation: the features found.
@@ -219,7 +201,7 @@ def target_captures(
     pixel, discs = observation.pixel, observation.discs
     if discs is not None:
         pixel = discs.centres(camera, target_point, pixel)
-    rows, sound = _rows(headset, camera, pose, pixel, observation.sigma_px)
+    rows, sound = _rows(session, camera, pose, pixel, observation.sigma_px)
     on_target = target_point[sound]
     point = transforms.apply(device_from_target, on_target)
     return SeeThroughCaptures(point=point, target_point=on_target, **rows, **columns)
@@ -261,12 +243,12 @@ def recorded_of(taken: SessionEntry) -> dict[str, Any]:
 
 
 def _rows(
-    headset: Headset, camera: Lens, pose: FloatArray, pixel: FloatArray, sigma_px: FloatArray
+    session: PhotoSession, camera: Lens, pose: FloatArray, pixel: FloatArray, sigma_px: FloatArray
 ) -> tuple[dict[str, Any], BoolArray]:
     """Columns that captures of both kinds have, of the pixels that the camera model has, and which (n,) these are.
 
     Args:
-        headset: the headset.
+        session: session of one eye.
         camera: the lens; it has OpenCV's axes.
         pose: (4, 4) device_from_camera.
         pixel: (n, 2) camera pixels.
@@ -285,9 +267,9 @@ def _rows(
     sound = np.asarray(np.isfinite(in_camera).all(axis=-1))
     arcmin_per_px = radians_per_pixel(camera, in_camera) / ARCMIN
     rows = {
-        "device": headset.device,
-        "eye": headset.eye,
-        "eye_box": headset.eye_box,
+        "device": session.device,
+        "eye": session.eye,
+        "eye_box": session.eye_box,
         "viewpoint": pose[:3, 3],
         "view_dir": direction[sound],
         "sigma_arcmin": (np.hypot(sigma_px, CAMERA_SYSTEMATIC_PX.value) * arcmin_per_px)[sound],

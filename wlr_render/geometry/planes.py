@@ -33,7 +33,7 @@ class BasePlane:
         The ray is point + s (tx, ty, -1), so that s = h / (1 + slope . t) with h = z_point - z - slope . xy_point.
         Negative where the plane lies behind the point; infinite or NaN for a ray that is parallel to the plane.
         """
-        return np.asarray(-self.depth_of(point) / (1.0 + tangents @ np.array(self.slope)))
+        return np.asarray(self.height_of(point) / (1.0 + tangents @ np.array(self.slope)))
 
     def depth_by_tangents(self, depth: FloatArray, tangents: FloatArray) -> FloatArray:
         """Return the derivative of `depth_along` by the tangents, -s slope / (1 + slope . t): (..., 2)."""
@@ -58,9 +58,9 @@ class BasePlane:
         along_z = (tangents / (1.0 + tangents @ np.array(self.slope))[..., None])[..., None]
         return np.concatenate([np.eye(2) - along_z * np.array(self.slope), along_z], axis=-1)
 
-    def depth_of(self, point: FloatArray) -> FloatArray:
-        """Return the distance of points (..., 3) in front of the plane along -z, (...) metres."""
-        return np.asarray(self.z_at(point[..., :2]) - point[..., 2])
+    def height_of(self, point: FloatArray) -> FloatArray:
+        """Return the distance of points (..., 3) behind the plane along +z, (...) metres: h of `depth_along`."""
+        return np.asarray(point[..., 2] - self.z_at(point[..., :2]))
 
     def z_at(self, point_in_plane: FloatArray) -> FloatArray:
         """Return the z (...) of plane coordinates (..., 2), metres."""

@@ -63,7 +63,7 @@ class DisplayModel(FittedDisplay):
         if not isinstance(self.place, BasePlane):
             return 0.0
         tangents, jacobian = self.forward.with_jacobian(grid_over(self.forward.box, _LEVELS), axes=(2, 3))
-        height = np.abs(self.place.depth_of(grid_over(viewpoints_of(self.eye_box), [2, 2, 2]))).max()
+        height = np.abs(self.place.height_of(grid_over(viewpoints_of(self.eye_box), [2, 2, 2]))).max()
         depth = height / (1.0 + tangents @ np.array(self.place.slope))
         return largest_norm(self.place.carry_by_tangents(depth, tangents) @ jacobian)
 

@@ -119,8 +119,8 @@ class GlPlanarSolver:
             gl.set_uniforms(
                 self._solve.program,
                 viewpoint=tuple(viewpoint),
-                behind_display_plane=-float(display.place.depth_of(viewpoint)),
-                behind_see_through_plane=-float(see_through.place.depth_of(viewpoint)),
+                behind_display_plane=float(display.place.height_of(viewpoint)),
+                behind_see_through_plane=float(see_through.place.height_of(viewpoint)),
                 viewpoint_inside=all(
                     each.eye_box.contains(viewpoint, EYE_BOX_MARGIN) for each in (display, see_through)
                 ),
