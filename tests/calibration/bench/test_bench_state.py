@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from calibration.bench.imperfect_bench import Imperfections, TrueBench, turned
 
-from wlr_render.calibration.bench.bench_blocks import EXACT, FEATURES, Layout
+from wlr_render.calibration.bench.bench_blocks import EXACT, FEATURES, SMOOTH_DEGREE, Layout, lens_block
 from wlr_render.calibration.bench.board_views import EYEBALL, CameraSetup
 from wlr_render.calibration.bench.normal_equations import residuals_of
 from wlr_render.calibration.bench.start import start_lens, start_state
-from wlr_render.calibration.bench.state import SMOOTH_DEGREE, StageModel
-from wlr_render.calibration.bench.unknowns import lens_block
+from wlr_render.calibration.bench.state import StageModel
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry import transforms

@@ -6,7 +6,23 @@ import cv2
 import numpy as np
 
 from wlr_render import usual
-from wlr_render.calibration.bench.bench_blocks import FEATURES, HELD_POSE, POSE, Block, Key
+from wlr_render.calibration.bench.bench_blocks import (
+    FEATURES,
+    FLAT,
+    HELD_POSE,
+    POSE,
+    TURNS,
+    Block,
+    Key,
+    axis_block,
+    lens_block,
+    numbers_block,
+    pose_block,
+    shape_block,
+    stage_error_blocks,
+    stated_twist,
+    with_residual,
+)
 from wlr_render.calibration.bench.board_shape import BoardShape
 from wlr_render.calibration.bench.board_views import (
     APART,
@@ -15,24 +31,7 @@ from wlr_render.calibration.bench.board_views import (
     BenchObservations,
     BoardView,
 )
-from wlr_render.calibration.bench.state import (
-    DRIFT_DEGREE,
-    BenchState,
-    screw_key,
-    stage_motion,
-    stated_twist,
-)
-from wlr_render.calibration.bench.unknowns import (
-    FLAT,
-    TURNS,
-    axis_block,
-    lens_block,
-    numbers_block,
-    pose_block,
-    shape_block,
-    stage_error_blocks,
-    with_residual,
-)
+from wlr_render.calibration.bench.state import DRIFT_DEGREE, BenchState, screw_key, stage_motion
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.feature_captures import TARGET_POSES
 from wlr_render.errors import BadInputError

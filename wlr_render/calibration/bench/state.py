@@ -17,22 +17,18 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from wlr_render.calibration.bench.bench_blocks import FEATURES, Block, Key
+from wlr_render.calibration.bench.bench_blocks import AXIS_PARTS, FEATURES, Block, Key, stated_twist
 from wlr_render.calibration.bench.board_shape import BoardShape
 from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.poses import adjoint, small_motion
-from wlr_render.captures.photo_session import StageAxis
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 
-SMOOTH_DEGREE = 3
 DRIFT_DEGREE = 4
 SAME_READING = 1e-4
 """Readings of a stage's axis nearer than this, metres, have one error of the screw."""
-AXIS_PARTS = {"linear": slice(3, 6), "rotary": slice(0, 3)}
-"""The part of an axis' twist that points along it."""
 
 _TERMS = 12  # terms of the Jacobian's series: rounding error up to a radian
 
@@ -318,22 +314,6 @@ def unit_legendre(at: FloatArray, degree: int) -> FloatArray:
 def screw_key(axis: int, reading: FloatArray) -> Key:
     """Return the key of the error of an axis at a reading (m,) of the stage."""
     return "screw", f"{axis} at {round(float(reading[axis]) / SAME_READING)}"
-
-
-def stated_twist(axis: StageAxis, base: FloatArray) -> FloatArray:
-    """(6,) twist of an axis in the camera's frame by its stated direction and pivot; zero where they are not stated.
-
-    Args:
-        axis: of the stage. base: (4, 4) device_from_camera at the stage's reference.
-    """
-    twist = np.zeros(6)
-    if axis.is_in_camera:
-        base = np.eye(4)
-    if axis.direction is not None:
-        twist[AXIS_PARTS[axis.kind]] = base[:3, :3].T @ axis.direction
-    if axis.direction is not None and axis.pivot is not None:
-        twist[3:] = np.cross(transforms.apply(transforms.inverse(base), axis.pivot), twist[:3])
-    return twist
 
 
 def stretch_terms(pixel: FloatArray, size_px: tuple[int, int]) -> FloatArray:
