@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import Board, BoardObservation
 from wlr_render.captures.boards.board_file import board_table
-from wlr_render.captures.boards.discs import Discs
+from wlr_render.captures.boards.lattice_shape import Discs
 from wlr_render.captures.code_files import CodeFiles, find_code_files
 from wlr_render.captures.decoded import Decoded, DecodedSamples, DecodeOptions, Rejection, sample
 from wlr_render.captures.patterns.pattern import Pattern

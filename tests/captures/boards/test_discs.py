@@ -6,8 +6,7 @@ from captures.boards.board_pictures import BARREL, BOARD, exposed, light_of, pos
 
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.circle_grid import CircleGrid
-from wlr_render.captures.boards.discs import Discs
-from wlr_render.captures.boards.lattice_shape import lattice_shape
+from wlr_render.captures.boards.lattice_shape import Discs, lattice_shape
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import apply, rigid, rotation_about
 

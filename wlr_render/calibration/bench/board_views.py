@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from wlr_render.captures.boards.board import BoardTolerances
-from wlr_render.captures.boards.discs import Discs
+from wlr_render.captures.boards.lattice_shape import Discs
 from wlr_render.captures.photo_session import StageAxis, StageDescription
 from wlr_render.geometry.lens import Lens
 from wlr_render.io.input_files import LIMITS

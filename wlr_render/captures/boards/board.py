@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.boards.discs import Discs
+from wlr_render.captures.boards.lattice_shape import Discs
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
 from wlr_render.io.file_records import LENGTH, Key, scaled

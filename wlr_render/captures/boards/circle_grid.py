@@ -18,10 +18,9 @@ from wlr_render.captures.boards.board import (
     flat_points,
 )
 from wlr_render.captures.boards.board_keys import MARGIN, MOST_FEATURES, BoardLength
-from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.boards.dot_centres import measure_dots
 from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, find_dots, link_lattices
-from wlr_render.captures.boards.lattice_shape import smooth_rows
+from wlr_render.captures.boards.lattice_shape import Discs, smooth_rows
 from wlr_render.captures.photographs import Photograph
 from wlr_render.io.file_records import ELSEWHERE, Key
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray

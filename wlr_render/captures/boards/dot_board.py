@@ -23,10 +23,9 @@ from wlr_render.captures.boards.board import (
     RealArray,
 )
 from wlr_render.captures.boards.board_keys import BoardLength
-from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.boards.dot_centres import MeasuredDots, measure_dots
 from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, DotLattice, find_dots, link_lattices
-from wlr_render.captures.boards.lattice_shape import LatticeShape, smooth_rows
+from wlr_render.captures.boards.lattice_shape import Discs, LatticeShape, smooth_rows
 from wlr_render.captures.photographs import Photograph
 from wlr_render.io.file_records import Key, Quantity, Rule
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
