@@ -1,7 +1,7 @@
 """Captures of one eye from its photographs, in the device frame, without photographs and dots that are outliers.
 
-A fit finds the motion of the camera in each capture, and leaves out those that stand out from the others
-(`smooth_search`): photographs not taken at the stated position.
+A fit finds the motion of the camera in each capture (`smooth_search`). A photograph is an outlier if its motion stands
+out from the others': it was not taken at the stated position.
 
 Through the optics every dot is displaced from the straight line to it by an amount that varies smoothly over a
 photograph. A dot is an outlier if it does not follow that smooth field, or if its stated sigma is far above the
