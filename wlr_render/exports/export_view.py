@@ -65,7 +65,7 @@ class ExportedView:
     viewpoint: FloatArray
     depth_m: float = math.inf
     time_s: float | None = None
-    place_of: Callable[[FloatArray], FloatArray] = np.array
+    place_of: Callable[[FloatArray], FloatArray] = lambda viewpoint: viewpoint
     other_light: Mapping[str, Eye] = field(default_factory=dict)
     predictors: tuple[Predictor, ...] = ()
 
@@ -194,7 +194,7 @@ def view_from_centre(
     camera = intermediate_camera(channels, axes, resolution, (panel.width_px, panel.height_px), 0.0)
     if source_size:
         camera = Pinhole(*source_size, camera.tangent_min, camera.tangent_max)
-    place_of = RasterPosition(middle, axes).at if source_camera == "nearest" else np.array
+    place_of = RasterPosition(middle, axes).at if source_camera == "nearest" else lambda viewpoint: viewpoint
     source = View(camera, place_of(centre), np.eye(4), axes)
     plans = ray_map_plans(channels, axes)
     return ExportedView(

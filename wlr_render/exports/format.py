@@ -1,10 +1,9 @@
-"""The protocol of a file format of `export`, and the base of formats with files for each colour."""
+"""The base of the file formats of `export`."""
 
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from wlr_render.exports.export_view import ExportedView
 
@@ -49,8 +48,10 @@ class Loss:
     max_arcmin: float | None
 
 
-class Format(Protocol):
+class Format(ABC):
     """A file format, listed in `formats.FORMATS`.
+
+    A format has `endings`, and `_write` writes the files of one colour; or it overrides `files` and `write`.
 
     Attributes:
         name: name of the format on the command line.
@@ -59,28 +60,25 @@ class Format(Protocol):
         convention: meaning of the numbers of a file, a sentence each; also in every file or next to it.
         use: how to use the files in their program, a step each; NAME is the start of a file's name, WxH the panel's
             size.
+        endings: ends of the names of the files of a view and colour.
+        has_all_colours: whether a file holds all colours of its view.
     """
 
-    @property
-    def name(self) -> str: ...  # noqa: D102  (the attributes of the class)
+    name: str
+    title: str
+    holds: Capabilities
+    convention: Sequence[str]
+    use: Sequence[str]
+    endings: Sequence[str]
+    has_all_colours = False
 
-    @property
-    def title(self) -> str: ...  # noqa: D102
-
-    @property
-    def holds(self) -> Capabilities: ...  # noqa: D102
-
-    @property
-    def convention(self) -> Sequence[str]: ...  # noqa: D102
-
-    @property
-    def use(self) -> Sequence[str]: ...  # noqa: D102
-
-    def files(self, view: ExportedView) -> Sequence[str]:
+    def files(self, view: ExportedView) -> list[str]:
         """Return the names of the files that hold a view, in the order in which they are written."""
+        return [stem + ending for _, stem in self._parts(view) for ending in self.endings]
 
     def interpolation(self, view: ExportedView, colour: str) -> Loss:
         """Return the interpolation error of a reader between the points of a file; none for formats of every pixel."""
+        return Loss("", 0.0, 0.0)
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write the files of all views into a folder; yields each one when it is finished.
@@ -91,35 +89,16 @@ class Format(Protocol):
             BadInputError: the format does not hold a view, or a file cannot be written.
             MissingExtraError: a library that the format needs is not installed.
         """
-
-
-class EveryPixel:
-    """Base of formats that hold every pixel of the panel."""
-
-    def interpolation(self, view: ExportedView, colour: str) -> Loss:
-        """Return zero error."""
-        return Loss("", 0.0, 0.0)
-
-
-class FormatByColour(ABC):
-    """Base of formats that have files for each view and colour.
-
-    Attributes:
-        endings: ends of the names of these files, after the view and the colour.
-    """
-
-    endings: tuple[str, ...]
-
-    def files(self, view: ExportedView) -> list[str]:
-        """Return the files of one colour after the other."""
-        return [stem + ending for stem in view.stems for ending in self.endings]
-
-    def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write the files of all views; yields their paths as `Format` does."""
         for view in views:
-            for colour, stem in zip(view.colours, view.stems, strict=True):
+            for colour, stem in self._parts(view):
                 yield from self._write(view, colour, [folder / (stem + ending) for ending in self.endings])
 
-    @abstractmethod
+    def _parts(self, view: ExportedView) -> list[tuple[str, str]]:
+        """Return the colour, or all of them, and the start of the file names, of each part of a view."""
+        if self.has_all_colours:
+            return [(view.all_colours, view.stem)]
+        return list(zip(view.colours, view.stems, strict=True))
+
     def _write(self, view: ExportedView, colour: str, paths: Sequence[Path]) -> Iterable[Path]:
-        """Write the files of one colour, one for each ending; returns or yields their paths."""
+        """Write the files of one colour, or of all, one for each ending; returns or yields their paths."""
+        raise NotImplementedError

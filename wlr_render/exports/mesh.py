@@ -13,7 +13,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.exports.check_pictures import CHECK_SOURCE
 from wlr_render.exports.export_view import ExportedView, has_ray
 from wlr_render.exports.facts import facts
-from wlr_render.exports.format import Capabilities, Loss
+from wlr_render.exports.format import Capabilities, Format, Loss
 from wlr_render.io.atomic_files import write_text
 from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.warp_mesh import mesh_grid, mesh_triangles
@@ -29,12 +29,14 @@ _LINEAR, _CLAMP = 9729, 33071
 _TYPES = {2: "VEC2", 3: "VEC3"}
 
 
-class GltfMesh:
+class GltfMesh(Format):
     """The format `mesh`."""
 
     name = "mesh"
     title = "mesh with texture coordinates (glTF 2.0) for engines"
     holds = Capabilities(every_pixel=False)
+    endings = ("-mesh.gltf",)
+    has_all_colours = True
     convention = (
         "POSITION: x from -1 on the panel's left edge to 1 on its right edge, y from -1 on the bottom edge to 1 on the "
         "top edge, z = 0: the clip coordinates of a picture that fills the panel.",
@@ -56,10 +58,6 @@ class GltfMesh:
     def interpolation(self, view: ExportedView, colour: str) -> Loss:
         """Return the tolerance of the mesh."""
         return Loss("between the points of the mesh, at most", None, TOLERANCE_ARCMIN)
-
-    def files(self, view: ExportedView) -> list[str]:
-        """Return the single file, which holds all colours."""
-        return [f"{view.stem}-mesh.gltf"]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write a file for each view; yields its path as `Format` does."""

@@ -10,7 +10,7 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.exports.export_view import ExportedView, has_ray
 from wlr_render.exports.facts import facts
-from wlr_render.exports.format import Capabilities, Loss
+from wlr_render.exports.format import Capabilities, Format, Loss
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.io.atomic_files import write_text
@@ -24,7 +24,7 @@ _EDGE_TO_EDGE = np.linspace(0.0, 1.0, _POINTS)
 _EYES = ("left", "right")
 
 
-class Monado:
+class Monado(Format):
     """The format `monado`."""
 
     name = "monado"

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from wlr_render.errors import BadInputError
 from wlr_render.exports.export_view import ExportedView, has_ray
 from wlr_render.exports.facts import facts, header_texts
-from wlr_render.exports.format import Capabilities, FormatByColour, Loss
+from wlr_render.exports.format import Capabilities, Format, Loss
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.io.atomic_files import write_text
@@ -36,7 +36,7 @@ _CENTRE_SHIFT = 0.5
 _WIDEST_DEG = 300
 
 
-class Mrcal(FormatByColour):
+class Mrcal(Format):
     """The format `mrcal`."""
 
     name = "mrcal"

@@ -1,7 +1,7 @@
 """Formats with a position in the source picture, or a ray, for each pixel of the panel."""
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from wlr_render.exports.export_view import ExportedView, has_ray
 from wlr_render.exports.facts import facts, header_texts, write_facts
-from wlr_render.exports.format import Capabilities, EveryPixel, FormatByColour
+from wlr_render.exports.format import Capabilities, Format
 from wlr_render.io.atomic_files import write_arrays, write_image
 from wlr_render.scene.exr_file import write_exr
 from wlr_render.scene.image_files import write_map
@@ -18,15 +18,13 @@ STMAP_NO_RAY = np.float32(-1.0)
 """Position of panel pixels without a ray: outside the picture; NaN would spread in a reader's filter."""
 FFMPEG_NO_RAY = 65535
 """The same in the remap pair: ffmpeg fills positions outside the source."""
-
-
 _IN_HEADER = (
     "The header has the headset, eye, viewpoint and source camera in all digits, as texts whose names begin with wlr: "
     "(wlr:source_camera is JSON)."
 )
 
 
-class StMap(EveryPixel, FormatByColour):
+class StMap(Format):
     """The format `stmap`: normalised positions in OpenEXR, as Nuke, Fusion, Resolve and After Effects read them."""
 
     name = "stmap"
@@ -62,7 +60,7 @@ class StMap(EveryPixel, FormatByColour):
         yield write_exr(paths[0], channels, header_texts(facts(view, colour, self)))
 
 
-class FloatMap(EveryPixel, FormatByColour):
+class FloatMap(Format):
     """The formats `pfm` and `tiff`: positions in pixels, the warp maps that `render --maps` writes."""
 
     holds = Capabilities()
@@ -102,7 +100,7 @@ class FloatMap(EveryPixel, FormatByColour):
         yield write_facts(facts_path, facts(view, colour, self))
 
 
-class Ffmpeg(EveryPixel, FormatByColour):
+class Ffmpeg(Format):
     """The format `ffmpeg`: a pair of pictures for ffmpeg's filter remap, in whole pixels of the source."""
 
     name = "ffmpeg"
@@ -145,7 +143,7 @@ _RAY_CONVENTION = (
 )
 
 
-class Rays(EveryPixel, FormatByColour):
+class Rays(Format):
     """The format `rays`: the rays of all panel pixels in OpenEXR pictures of four channels, valid at every depth."""
 
     name = "rays"
@@ -172,12 +170,14 @@ class Rays(EveryPixel, FormatByColour):
         yield write_exr(paths[0], channels, header_texts(facts(view, colour, self)))
 
 
-class Npz(EveryPixel):
+class Npz(Format):
     """The format `npz`: the rays of all panel pixels as NumPy arrays, all colours of a view in one file."""
 
     name = "npz"
     title = "rays of all panel pixels (NumPy)"
     holds = Capabilities(every_depth=True)
+    endings = ("-rays.npz",)
+    has_all_colours = True
     convention = (
         "rays: (colours, 4, height, width) float32, the numbers a, b, c, d of the ray of each panel pixel, the top row "
         "first.",
@@ -192,14 +192,7 @@ class Npz(EveryPixel):
         "Nothing in the file needs allow_pickle.",
     )
 
-    def files(self, view: ExportedView) -> list[str]:
-        """Return the single file, which holds all colours."""
-        return [f"{view.stem}-rays.npz"]
-
-    def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write a file for each view; yields its path as `Format` does."""
-        for view in views:
-            rays = np.stack([view.slope_offset(colour) for colour in view.colours])
-            text = json.dumps(facts(view, view.all_colours, self))
-            arrays = {"rays": rays, "colours": np.array(view.colours), "facts": np.array(text)}
-            yield write_arrays(folder / self.files(view)[0], arrays)
+    def _write(self, view: ExportedView, colour: str, paths: Sequence[Path]) -> Iterator[Path]:
+        rays = np.stack([view.slope_offset(each) for each in view.colours])
+        text = json.dumps(facts(view, colour, self))
+        yield write_arrays(paths[0], {"rays": rays, "colours": np.array(view.colours), "facts": np.array(text)})
