@@ -67,7 +67,7 @@ def test_a_pose_is_a_rotation_and_a_translation():
     lost, scaled, far = good.copy(), good.copy(), good.copy()
     lost[1, 3], scaled[:3, :3], far[2, 3] = np.nan, 2 * good[:3, :3], 1e9
     for bad, words in (
-        (good @ np.diag([1.0, 1.0, -1.0, 1.0]), "translation: it mirrors, .*; convert on both, F @ pose @ F"),
+        (good @ np.diag([1.0, 1.0, -1.0, 1.0]), "translation: it mirrors; convert .* on both sides, F @ pose @ F"),
         (scaled, "the pose is not a rotation and a translation: it scales by 2; divide"),
         (good.T, "transpose"),
         (lost, "the pose has nan in row 1, column 3; give finite"),

@@ -1,6 +1,9 @@
-"""Checks of an engine's input, made before anything is changed."""
+"""Checks of an engine's input, made before anything is changed.
 
-from collections.abc import Collection, Mapping, Sequence
+Every function raises a `BadInputError` that names the argument, its value and valid ones.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,119 +30,127 @@ _ROTATION_SLACK = 1e-4
 _ROUNDING = _ROUNDING_M = 1e-9
 
 
-def checked_eye(eye: str | None, eyes: Sequence[str]) -> str:
-    """Return the eye that a caller names; it may be left out if there is one.
+def _require(is_valid: bool | np.bool_, what: str, value: object, wanted: str) -> None:
+    if not is_valid:
+        raise BadInputError(f"{what} is {shown(value)}; {wanted}.")
 
-    Raises:
-        BadInputError: the eye is unknown, or left out although there are two.
-    """
+
+def _checked_array(
+    value: object, shape: tuple[int, ...], what: str, wanted: str, is_valid: Callable[[FloatArray], Any]
+) -> FloatArray:
+    """Return a float64 copy of an array of finite numbers that are valid; `wanted` says which are."""
+    array = finite_array(value, shape, what, wanted)
+    _require(is_valid(array), what, value, f"give {wanted}")
+    return array
+
+
+def checked_eye(eye: str | None, eyes: Sequence[str]) -> str:
+    """Return the eye that a caller names; it may be left out if there is one."""
     if eye is None and len(eyes) > 1:
         raise BadInputError(f"there are two eyes; name one of {', '.join(eyes)} with eye=.")
     return eyes[0] if eye is None else checked_choice(eye, eyes, "eye")
 
 
 def checked_eyes(given: object, eyes: Sequence[str]) -> list[str]:
-    """Return some of the eyes, the left one first; all if None.
-
-    Raises:
-        BadInputError: none are given, or another name.
-    """
-    named = eyes if given is None else given
-    if isinstance(named, str) or not isinstance(named, Collection) or not named:
-        raise BadInputError(f"eyes is {shown(given)}; give some of {', '.join(eyes)}, as in eyes=('left',).")
+    """Return some of the eyes, the left one first; all if None."""
+    named: Any = eyes if given is None else given
+    is_some = isinstance(named, Collection) and not isinstance(named, str) and bool(named)
+    _require(is_some, "eyes", given, f"give some of {', '.join(eyes)}, as in eyes=('left',)")
     wanted = {checked_choice(eye, eyes, "an eye of eyes") for eye in named}
     return [eye for eye in eyes if eye in wanted]
 
 
 def check_stored(stored: object, stored_colour: object, rows: object) -> None:
-    """Check the types of a picture's storage conventions.
-
-    Raises:
-        BadInputError: one is something else.
-    """
+    """Check the types of a picture's storage conventions."""
     if not (
         isinstance(stored, StoredDepth) and isinstance(stored_colour, StoredColour) and isinstance(rows, Rows | None)
     ):
         raise BadInputError(
-            "stored must be a StoredDepth, stored_colour a StoredColour, and rows one of Rows; see "
-            "warp/stored_picture.py."
+            "stored must be a StoredDepth, stored_colour a StoredColour, and rows one of Rows (wlr_render.engine)."
         )
 
 
 def check_submitted(eyes: Sequence[str], submitted: Collection[str]) -> None:
-    """Check that all of some eyes have a picture.
-
-    Raises:
-        BadInputError: one has none.
-    """
-    never = [eye for eye in eyes if eye not in submitted]
-    if never:
-        raise BadInputError(
-            f"the {never[0]} eye has not been submitted; submit it before compose, or name the other in eyes."
-        )
+    """Check that all of some eyes have a picture."""
+    for eye in eyes:
+        if eye not in submitted:
+            raise BadInputError(
+                f"the {eye} eye has not been submitted; submit it before compose, or name the other in eyes."
+            )
 
 
 def checked_quad(size_m: object, world_from_quad: object, device_from_quad: object) -> Quad:
-    """Return the quad of an overlay.
-
-    Raises:
-        BadInputError: both poses are given or neither, or one is not rigid; or a size that is not positive.
-    """
+    """Return the quad of an overlay: one of the two poses is given, the size is positive."""
     wanted = "(width, height) of the quad in metres, both positive"
-    size = finite_array(size_m, (2,), "size_m", wanted)
-    if (size <= 0).any():
-        raise BadInputError(f"size_m is {shown(size_m)}; give {wanted}.")
+    size = _checked_array(size_m, (2,), "size_m", wanted, lambda array: (array > 0).all())
     if (world_from_quad is None) == (device_from_quad is None):
         raise BadInputError("an overlay has one pose; give either world_from_quad or device_from_quad.")
-    is_head_locked = world_from_quad is None
-    name = "device_from_quad" if is_head_locked else "world_from_quad"
-    given: Any = device_from_quad if is_head_locked else world_from_quad
-    return Quad(checked_pose(given, name), size, is_head_locked)
+    if world_from_quad is None:
+        return Quad(checked_pose(device_from_quad, "device_from_quad"), size, True)
+    return Quad(checked_pose(world_from_quad, "world_from_quad"), size, False)
 
 
 def checked_choice(value: object, choices: Sequence[str], what: str) -> str:
-    """One of the words that an argument takes.
-
-    Raises:
-        BadInputError: it is another one, or no word.
-    """
-    if not isinstance(value, str) or value not in choices:
-        raise BadInputError(f"{what} is {shown(value)}; choose from {', '.join(choices)}.")
-    return value
+    """Return one of the words that an argument takes."""
+    _require(isinstance(value, str) and value in choices, what, value, f"choose from {', '.join(choices)}")
+    return str(value)
 
 
 def checked_flag(value: object, what: str) -> bool:
-    """Return True or False; "no" would count as true.
-
-    Raises:
-        BadInputError: it is neither.
-    """
-    if not isinstance(value, bool | np.bool_):
-        raise BadInputError(f"{what} is {shown(value)}; give True or False.")
+    """Return True or False; "no" would count as true."""
+    _require(isinstance(value, bool | np.bool_), what, value, "give True or False")
     return bool(value)
 
 
 def checked_number(value: object, what: str, at_least: float, at_most: float) -> float:
-    """Return a number within limits.
-
-    Raises:
-        BadInputError: the value is not a number, or outside the limits.
-    """
+    """Return a number within limits."""
     wanted = f"a number from {at_least:g} to {at_most:g}"
-    number = float(finite_array(value, (), what, wanted))
-    if not at_least <= number <= at_most:
-        raise BadInputError(f"{what} is {shown(value)}; give {wanted}.")
-    return number
+    return float(_checked_array(value, (), what, wanted, lambda number: at_least <= number <= at_most))
 
 
-def checked_models(
-    models: Eye | Sequence[Eye] | Mapping[str, Eye | Sequence[Eye]],
-) -> dict[str, EyeChannels]:
-    """Channels by eye, the left eye first.
+def checked_whole(value: Any, what: str, at_most: int) -> int:
+    """Return a whole number from 0 to a largest one."""
+    _require(is_number(value) and 0 <= value <= at_most, what, value, f"give a whole number from 0 to {at_most}")
+    return int(value)
 
-    Raises:
-        BadInputError: no eye, an eye of another name than its mappings', or colours that do not belong together.
-    """
+
+def checked_size(size_px: Sequence[int]) -> tuple[int, int]:
+    """Return (width, height) of one eye's display."""
+    wanted = f"(width, height) in whole pixels, {LIMITS.picture_pixels} of them at most"
+    width, height = _checked_array(
+        size_px,
+        (2,),
+        "the size",
+        wanted,
+        lambda size: (size >= 1).all() and (size == size.round()).all() and size.prod() <= LIMITS.picture_pixels,
+    )
+    return int(width), int(height)
+
+
+def checked_fov(fov_rad: object) -> FloatArray:
+    """Return angles (4,) of the left, right, upper and lower border of a field, each within a right angle."""
+    return _checked_array(
+        fov_rad,
+        (4,),
+        "fov_rad",
+        "the angles (left, right, up, down) of its borders in radians, as EyeCamera.fov_rad, with left < right and "
+        "down < up",
+        lambda angle: (np.abs(angle) < 0.5 * np.pi).all() and angle[0] < angle[1] and angle[3] < angle[2],
+    )
+
+
+def checked_background(colour: Sequence[int]) -> tuple[int, int, int]:
+    """Return sRGB codes."""
+    wanted = "(red, green, blue) as whole sRGB codes from 0 to 255"
+    codes = _checked_array(
+        colour, (3,), "the background", wanted, lambda array: all(code in range(256) for code in array.tolist())
+    )
+    red, green, blue = (int(code) for code in codes)
+    return red, green, blue
+
+
+def checked_models(models: Eye | Sequence[Eye] | Mapping[str, Eye | Sequence[Eye]]) -> dict[str, EyeChannels]:
+    """Return the channels by eye, the left eye first."""
     by_eye = models if isinstance(models, Mapping) else {_eye_of(models): models}
     if not by_eye or not set(by_eye) <= {"left", "right"}:
         raise BadInputError(f"models are given for {sorted(map(str, by_eye))}; give them for 'left', 'right' or both.")
@@ -156,91 +167,44 @@ def _eye_of(models: Eye | Sequence[Eye]) -> str:
 
 
 def _checked_channels(eye: str, models: Eye | Sequence[Eye]) -> EyeChannels:
-    if not isinstance(models, Sequence):
-        _eye_of(models)
     channels = tuple(models) if isinstance(models, Sequence) else (models,)
     if len(channels) not in (1, 3):
         raise BadInputError(f"{eye} eye: {len(channels)} models are given; give one, or three for red, green and blue.")
     for mappings in channels:
-        _eye_of(mappings)
-        if mappings.eye != eye:
+        if _eye_of(mappings) != eye:
             raise BadInputError(f"{mappings.name}: is a model of the {mappings.eye} eye, given for the {eye} eye.")
         if mappings.display.panel != channels[0].display.panel:
             raise BadInputError(f"{mappings.name}: its panel is not that of {channels[0].name}; the colours share one.")
-        ours, first = (np.stack([each.eye_box.centre, each.eye_box.size]) for each in (mappings, channels[0]))
-        if np.abs(ours - first).max() > _ROUNDING_M:
+        box, first = mappings.eye_box, channels[0].eye_box
+        if max(np.abs(box.centre - first.centre).max(), np.abs(box.size - first.size).max()) > _ROUNDING_M:
             raise BadInputError(
                 f"{mappings.name}: its eye box is not that of {channels[0].name}; fit all colours to one."
             )
     return channels
 
 
-def checked_whole(value: Any, what: str, at_most: int) -> int:
-    """Return a whole number from 0 to a largest one.
-
-    Raises:
-        BadInputError: it is not.
-    """
-    if not is_number(value) or not 0 <= value <= at_most:
-        raise BadInputError(f"{what} is {shown(value)}; give a whole number from 0 to {at_most}.")
-    return int(value)
-
-
-def checked_size(size_px: Sequence[int]) -> tuple[int, int]:
-    """(width, height) of one eye's display.
-
-    Raises:
-        BadInputError: it is not two whole positive numbers, or too many pixels.
-    """
-    wanted = f"(width, height) in whole pixels, {LIMITS.picture_pixels} of them at most"
-    size = finite_array(size_px, (2,), "the size", wanted)
-    if (size < 1).any() or (size != size.round()).any() or size.prod() > LIMITS.picture_pixels:
-        raise BadInputError(f"the size is {shown(size_px)}; give {wanted}.")
-    return int(size[0]), int(size[1])
-
-
-def checked_fov(fov_rad: object) -> FloatArray:
-    """(4,) angles of the left, right, upper and lower border of a field.
-
-    Raises:
-        BadInputError: not four angles within a right angle, or no field between them.
-    """
-    wanted = "the angles (left, right, up, down) of its borders in radians, as EyeCamera.fov_rad"
-    angles = finite_array(fov_rad, (4,), "fov_rad", wanted)
-    if (np.abs(angles) >= 0.5 * np.pi).any() or angles[0] >= angles[1] or angles[3] >= angles[2]:
-        raise BadInputError(f"fov_rad is {shown(fov_rad)}; give {wanted}, with left < right and down < up.")
-    return angles
-
-
 def check_inset_field(inset: Pinhole, wider: Pinhole) -> None:
-    """Check that an inset shows a part of a wider picture of the same camera frame, with more pixels.
-
-    Raises:
-        BadInputError: the inset reaches outside the wider picture, or is not sharper.
-    """
+    """Check that an inset shows a part of a wider picture of the same camera frame, with more pixels."""
     slack = _ROUNDING * (wider.tangent_max - wider.tangent_min)
     if (inset.tangent_min < wider.tangent_min - slack).any() or (inset.tangent_max > wider.tangent_max + slack).any():
-        fields = (
-            f"{np.round(each.tangent_min, 3).tolist()} to {np.round(each.tangent_max, 3).tolist()}"
-            for each in (inset, wider)
-        )
         raise BadInputError(
-            "the inset's field has the tangents {}, and the picture around it {}; keep it within.".format(*fields)
+            f"the inset's field has the tangents {_rounded(inset.tangent_min)} to {_rounded(inset.tangent_max)}, and "
+            f"the picture around it {_rounded(wider.tangent_min)} to {_rounded(wider.tangent_max)}; keep it within."
         )
     if (inset.focal_px <= (1 + _ROUNDING) * wider.focal_px).any():
-        ours, theirs = (each.focal_px.round(1).tolist() for each in (inset, wider))
         raise BadInputError(
-            f"the inset has {ours} pixels per unit tangent, and the picture around it {theirs}; give it more, and "
-            "submit each inset once."
+            f"the inset has {_rounded(inset.focal_px)} pixels per unit tangent, and the picture around it "
+            f"{_rounded(wider.focal_px)}; give it more, and submit each inset once."
         )
+
+
+def _rounded(values: FloatArray) -> list[float]:
+    rounded: list[float] = np.round(values, 3).tolist()
+    return rounded
 
 
 def check_camera_size(plan: EyePlan) -> None:
-    """Check the number of pixels of the intermediate image, before anything of that size is made.
-
-    Raises:
-        BadInputError: there are too many.
-    """
+    """Check the number of pixels of the intermediate image, before anything of that size is made."""
     width, height = plan.camera.width_px, plan.camera.height_px
     if width * height > LIMITS.picture_pixels or max(width, height) > LIMITS.picture_side:
         raise BadInputError(
@@ -249,101 +213,62 @@ def check_camera_size(plan: EyePlan) -> None:
         )
 
 
-def checked_background(colour: Sequence[int]) -> tuple[int, int, int]:
-    """Return sRGB codes.
-
-    Raises:
-        BadInputError: it is not three whole numbers from 0 to 255.
-    """
-    wanted = "(red, green, blue) as whole sRGB codes from 0 to 255"
-    codes = finite_array(colour, (3,), "the background", wanted)
-    if any(code not in range(256) for code in codes.tolist()):
-        raise BadInputError(f"the background is {shown(colour)}; give {wanted}.")
-    red, green, blue = (int(code) for code in codes)
-    return red, green, blue
-
-
 def checked_panels(panel: object, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, PanelLight]:
-    """Return the light of each eye's panel.
-
-    Raises:
-        BadInputError: an eye has none, or a uniformity map is not of the display's size.
-    """
-    by_eye = panel if isinstance(panel, Mapping) else dict.fromkeys(eyes, panel)
-    found = {}
+    """Return the light of each eye's panel; a uniformity map has the display's size."""
+    by_eye: Mapping[str, Any] = panel if isinstance(panel, Mapping) else dict.fromkeys(eyes, panel)
     for eye in eyes:
-        light = by_eye.get(eye)
-        if not isinstance(light, PanelLight):
-            raise BadInputError(f"panel of the {eye} eye is {shown(light)}; give a PanelLight.")
+        light: Any = by_eye.get(eye)
+        _require(isinstance(light, PanelLight), f"panel of the {eye} eye", light, "give a PanelLight")
         if light.uniformity is not None and light.uniformity.shape[1::-1] != size_px:
             rows, columns = light.uniformity.shape[:2]
             raise BadInputError(
                 f"the uniformity map of the {eye} eye has {columns} x {rows} pixels, and its picture "
                 f"{size_px[0]} x {size_px[1]}; give one factor for each pixel of the picture."
             )
-        found[eye] = light
-    return found
+    return {eye: by_eye[eye] for eye in eyes}
 
 
-def checked_pose(pose: FloatArray, what: str = "the pose") -> FloatArray:
-    """Return a copy of `world_from_device` as (4, 4) float64: trackers write the next pose where the last one was.
+def checked_pose(pose: object, what: str = "the pose") -> FloatArray:
+    """Return a copy of a pose as (4, 4) float64: trackers write the next pose where the last one was.
 
-    Raises:
-        BadInputError: not finite, not a rotation and translation, or too far away.
+    Its rotation is the nearest one to what is given, which may be rounded to about four digits.
     """
-    matrix_name, until = (
-        (what, "")
-        if what.endswith("_quad")
-        else ("world_from_device", ", and the last good one while the head is not tracked")
-    )
+    name, until = "world_from_device", ", and the last good one while the head is not tracked"
+    if what.endswith("_quad"):
+        name, until = what, ""
     given = np.asarray(pose) if isinstance(pose, np.ndarray) else None
     if given is not None and given.shape == (4, 4) and given.dtype.kind == "f" and not np.isfinite(given).all():
         row, column = np.argwhere(~np.isfinite(given))[0]
         raise BadInputError(
             f"{what} has {given[row, column]} in row {row}, column {column}; give finite numbers{until}."
         )
-    matrix = finite_array(pose, (4, 4), what, f"{matrix_name} as a 4 x 4 matrix of finite numbers{until}")
+    matrix = finite_array(pose, (4, 4), what, f"{name} as a 4 x 4 matrix of finite numbers{until}")
     if np.abs(matrix[:3, 3]).max() > FARTHEST_M:
         raise BadInputError(
             f"{what} lies at {matrix[:3, 3].tolist()}; give metres, {FARTHEST_M:g} at most from the world's origin."
         )
     rotation = matrix[:3, :3]
-    askew = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    lengths = np.linalg.norm(rotation, axis=0)
-    scale = lengths.mean()
-    if (
-        abs(scale - 1) > _ROTATION_SLACK
-        and np.abs(rotation @ rotation.T - scale**2 * np.eye(3)).max() < 1e-6 * scale**2
-    ):
-        raise BadInputError(
-            f"{what} is not a rotation and a translation: it scales by {scale:g}; divide its first three columns "
-            "by that, and leave the translation in metres."
-        )
-    if askew <= _ROTATION_SLACK and np.linalg.det(rotation) < 0:
-        raise BadInputError(
-            f"{what} is not a rotation and a translation: it mirrors, as if converted from a left-handed frame "
-            "on one side only; convert on both, F @ pose @ F with F = diag(1, 1, -1, 1) if z pointed forwards there."
-        )
-    if askew > _ROTATION_SLACK or np.linalg.det(rotation) < 0 or not np.array_equal(matrix[3], [0, 0, 0, 1]):
-        raise BadInputError(
-            f"{what} is not a rotation and a translation; give {matrix_name} with the last row 0 0 0 1 (its "
-            "transpose is what OpenGL takes)."
-        )
-    if askew > _ROUNDING:
-        left, _, right = np.linalg.svd(rotation)
-        matrix[:3, :3] = left @ right  # the nearest rotation: what follows takes its transpose for its inverse
-    return matrix
+    gram, is_affine = rotation @ rotation.T, np.array_equal(matrix[3], [0, 0, 0, 1])
+    askew, scale = float(np.abs(gram - np.eye(3)).max()), float(np.sqrt(np.trace(gram) / 3))
+    is_mirror = np.linalg.det(rotation) < 0
+    if askew <= _ROTATION_SLACK and not is_mirror and is_affine:
+        if askew > _ROUNDING:
+            left, _, right = np.linalg.svd(rotation)
+            matrix[:3, :3] = left @ right  # the nearest rotation: what follows takes its transpose for its inverse
+        return matrix
+    if abs(scale - 1) > _ROTATION_SLACK and np.abs(gram - scale**2 * np.eye(3)).max() < 1e-6 * scale**2:
+        remedy = f"it scales by {scale:g}; divide its first three columns by that"
+    elif askew <= _ROTATION_SLACK and is_mirror:
+        remedy = "it mirrors; convert from a left-handed frame on both sides, F @ pose @ F with F = diag(1, 1, -1, 1)"
+    else:
+        remedy = f"give {name} with the last row 0 0 0 1 (OpenGL takes its transpose)"
+    raise BadInputError(f"{what} is not a rotation and a translation: {remedy}.")
 
 
 def checked_viewpoints(
     viewpoint: FloatArray | Mapping[str, FloatArray], models: Mapping[str, EyeChannels]
 ) -> dict[str, FloatArray]:
-    """(3,) by eye, copies; of the eyes that are given.
-
-    Raises:
-        BadInputError: no eye is given or one is unknown, or a viewpoint is not three finite numbers or lies far outside
-            the eye box.
-    """
+    """Return copies (3,) by eye, of the eyes that are given; each in the eye box, or not far outside."""
     if not isinstance(viewpoint, Mapping):
         if len(models) > 1 and viewpoint is not None:
             raise BadInputError("one viewpoint is given for two eyes; give {'left': ..., 'right': ...}.")
@@ -357,11 +282,7 @@ def checked_viewpoints(
 
 
 def nearest_in_reach(viewpoint: FloatArray, box: EyeBox) -> FloatArray:
-    """Return the nearest accepted viewpoint (3,).
-
-    Raises:
-        BadInputError: it is not three finite numbers.
-    """
+    """Return the nearest accepted viewpoint (3,)."""
     beside = checked_viewpoint(viewpoint) - box.centre
     return np.asarray(box.centre + np.clip(beside, -_reach(box), _reach(box)))
 
@@ -372,15 +293,14 @@ def _reach(box: EyeBox) -> FloatArray:
 
 def _near_the_box(eye: str, viewpoint: FloatArray, mappings: Eye) -> FloatArray:
     box = mappings.eye_box
-    beyond = np.abs(viewpoint - box.centre) - _reach(box)
+    away = np.abs(viewpoint - box.centre)
+    beyond = away - _reach(box)
     if (beyond > _ROUNDING_M).any():
         axis = int(np.argmax(beyond))
-        far_m = float(np.abs(viewpoint - box.centre).max())
-        metres = "is it in metres? Else " if far_m > 1 else ""
+        question = "is it in metres? Else " if away.max() > 1 else ""
         raise BadInputError(
-            f"the viewpoint of the {eye} eye lies {abs(viewpoint[axis] - box.centre[axis]) * 1e3:.1f} mm from the eye "
-            f"box's centre in {'xyz'[axis]}, and {mappings.name} was made for {0.5 * box.size[axis] * 1e3:.1f} mm; "
-            f"{metres}hold the last good viewpoint, take the nearest that is accepted (within_reach), or refit the "
-            "headset's place on the head."
+            f"the viewpoint of the {eye} eye lies {away[axis] * 1e3:.1f} mm from the eye box's centre in "
+            f"{'xyz'[axis]}, and {mappings.name} was made for {0.5 * box.size[axis] * 1e3:.1f} mm; {question}hold the "
+            "last good viewpoint, take the nearest that is accepted (within_reach), or refit."
         )
     return viewpoint
