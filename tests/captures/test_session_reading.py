@@ -78,3 +78,21 @@ def test_a_set_without_white_is_not_judged_by_its_black_picture(read, tmp_path):
     found = read()
     assert not found.excluded
     assert next(iter(found.panels.values())).missing == ("white",)
+
+
+def test_a_reading_and_the_one_kept_of_it_are_the_same(read, tmp_path):
+    photograph(tmp_path / "set", 0.6)
+    first = read()
+    again = read()
+    assert (first.kept, again.kept) == (0, 1)
+    (now,), (kept,) = first.panels.values(), again.panels.values()
+    for name, value in vars(now.samples).items():
+        np.testing.assert_array_equal(value, getattr(kept.samples, name))
+    np.testing.assert_array_equal(now.fates, kept.fates)
+    assert (now.missing, now.file_note) == (kept.missing, kept.file_note)
+
+
+def test_a_reading_is_used_whether_or_not_its_file_can_be_read_back(read, tmp_path, monkeypatch):
+    photograph(tmp_path / "set", 0.6)
+    monkeypatch.setattr(session_reading, "write_arrays", lambda *_: None)
+    assert len(read().panels) == 1

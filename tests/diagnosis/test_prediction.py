@@ -12,6 +12,7 @@ from wlr_render.diagnosis.cause import Cause, Parameter
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.weighed_readings import camera_motions
 from wlr_render.errors import BadInputError
 
 # One of every kind of change: of all surfaces, of media, of the panel, of the camera, of the target, of the readout.
@@ -129,6 +130,23 @@ def test_added_columns_are_those_of_the_whole(predictor):
     scale = np.abs(whole.jacobian).max()
     np.testing.assert_allclose(added.jacobian, whole.jacobian[:, :, 3:], atol=1e-6 * scale)
     np.testing.assert_allclose(added.residual, whole.residual, atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "units"), [("camera_pupil_offset", 1e-3), ("camera_rotation", np.degrees(1e-6))])
+def test_motions_of_the_camera_are_the_derivatives_by_the_causes_that_move_it(predictor, name, units):
+    at = predictor.signature(hypothesis(name))
+    by_cause = at.jacobian / at.explanation.prior_sigma * units
+    motions = (
+        camera_motions(predictor)[:, :, :3] if name == "camera_pupil_offset" else camera_motions(predictor)[:, :, 3:]
+    )
+    np.testing.assert_allclose(motions, by_cause, atol=1e-6 * np.abs(by_cause).max())
+
+
+def test_a_change_that_does_nothing_has_no_lever(predictor, clean):
+    steps = np.array([1e-6, 1e-3])
+    lever = predictor.lever(lambda bench, values: bench, steps)
+    assert lever.shape == (len(clean), 2, 2)
+    assert not lever.any()
 
 
 def test_what_changes_nothing_is_not_free(predictor, clean):
