@@ -6,10 +6,11 @@ clears up the switches that it leaves on.
 """
 
 import contextlib
+import ctypes
 import os
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -30,7 +31,7 @@ from wlr_render.warp.view import GeometryImage, View
 
 _FAR_M = 1e9  # has the same effect as infinity in float32
 _PLATFORMS = {"egl", "osmesa"}  # platforms that PyOpenGL must be told to use
-_TEXTURE_2D = 0x0DE1
+_TEXTURE_2D, _UNPACK_ALIGNMENT = 0x0DE1, 0x0CF5
 _IN_CODES = "baseColorTexture", "emissiveTexture"  # textures that pyrender's shader decodes after filtering
 _BRDF_NORMALISATION = np.pi  # pyrender divides albedo by pi, our shading model does not
 
@@ -53,8 +54,8 @@ class PyrenderDrawing:
         self._pyrender = _import_pyrender(context.backend)
         if camera_node not in graph.camera_nodes:
             raise BadInputError("The node is not a camera of the pyrender scene: add it with scene.add(camera).")
-        self._renderer = _renderer(self._pyrender, _Loader(context))
-        self._latest = LatestViews()
+        self._renderer = _renderer(self._pyrender, _Loader(context), self._bind_target)
+        self._targets, self._latest = gl.RenderTargets(context), LatestViews()
         self._imports: defaultdict[str, PictureImport] = defaultdict(lambda: PictureImport(context))
 
     def draw_on_gpu(self, view: View, name: str = "") -> GpuImage:
@@ -64,11 +65,17 @@ class PyrenderDrawing:
         from the world's origin a picture is less exact.
         """
         with _standing_at(self._pyrender, self._graph, self._node, view) as planes:
-            self._renderer.viewport_width, self._renderer.viewport_height = view.camera.width_px, view.camera.height_px
-            with self._context.drawing(third_party=True), _without_multisampling(self._pyrender.renderer):
-                self._renderer.render(self._graph, self._pyrender.RenderFlags.OFFSCREEN)
-        image = self._imports[name].from_framebuffer(view.camera, int(self._renderer._main_fb_ms), planes)
+            size = self._renderer.viewport_width, self._renderer.viewport_height = view.camera.size_px
+            with self._context.drawing():
+                self._target = self._targets.get("", size, (4, "f1"), with_depth=True)
+            with self._context.drawing(third_party=True):
+                self._renderer.render(self._graph, self._pyrender.RenderFlags.NONE)
+        (colour,), depth = self._target.textures, self._target.framebuffer.depth_attachment
+        image = self._imports[name].from_textures(view.camera, colour, depth, planes)
         return replace(image, view=view, is_overwritten=self._latest.drawn(name, view))
+
+    def _bind_target(self) -> None:
+        self._context.draw_to(self._target.framebuffer)
 
 
 class PyrenderView:
@@ -151,14 +158,24 @@ def _platform_of_pyopengl() -> str:
     return "" if platform is None else type(platform.PLATFORM).__name__.removesuffix("Platform").lower()
 
 
-def _renderer(pyrender: Any, loader: "_Loader") -> Any:
-    renderer = pyrender.Renderer(1, 1)
-    # The picture stays on the GPU; pyrender would read it back, and depth in two passes over the image.
-    renderer._read_main_framebuffer = lambda scene, flags: None
-    renderer._update_context = loader
-    # Python's garbage collection would delete objects of these numbers in whichever context is current then.
-    renderer.delete = lambda: None
-    return renderer
+def _renderer(pyrender: Any, loader: "_Loader", bind_target: Callable[[], None]) -> Any:
+    """Return a renderer of pyrender's that draws one sample at the pixel's centre into the target that is bound.
+
+    With `RenderFlags.OFFSCREEN` pyrender would draw four samples, keep the depth of the first, which lies
+    (-1/8, +3/8) pixels off the centre, and read the picture back.
+    """
+
+    def configure(renderer: Any, flags: int) -> None:
+        pyrender.Renderer._configure_forward_pass_viewport(renderer, flags)  # binds the window's framebuffer
+        bind_target()
+
+    methods = {
+        "_configure_forward_pass_viewport": configure,
+        "_update_context": lambda renderer, graph, flags: loader(graph),
+        # Python's garbage collection would delete objects of these numbers in whichever context is current then.
+        "delete": lambda renderer: None,
+    }
+    return type("Renderer", (pyrender.Renderer,), methods)(1, 1)
 
 
 class _Loader:
@@ -168,12 +185,14 @@ class _Loader:
         self._context, self._levels = context, MipLevels(context)
         self._loaded: set[Any] = set()
 
-    def __call__(self, graph: Any, flags: int) -> None:
+    def __call__(self, graph: Any) -> None:
         primitives = {primitive for mesh in graph.meshes for primitive in mesh.primitives}
         wanted = primitives.union(*(primitive.material.textures for primitive in primitives))
         for thing in self._loaded - wanted:
             thing.delete()
         missing = {thing for thing in wanted if not thing._in_context()}
+        # pyrender uploads rows of any length and leaves their alignment as it is.
+        self._context.function("glPixelStorei", ctypes.c_uint, ctypes.c_int)(_UNPACK_ALIGNMENT, 1)
         for thing in missing:
             thing._add_to_context()
         in_codes = {getattr(primitive.material, name, None) for primitive in primitives for name in _IN_CODES}
@@ -186,20 +205,6 @@ class _Loader:
         """Replace the mip levels that the driver made by means over all texels."""
         height, width = texture.source.shape[:2]
         self._levels.refill(self._context.third_party_texture(texture._texid, (width, height)), holds_codes)
-
-
-@contextlib.contextmanager
-def _without_multisampling(module: Any) -> Iterator[None]:
-    """Make pyrender's renderer allocate its framebuffers with one sample, at the pixel's centre.
-
-    It asks for four and keeps the depth of the first, which lies (-1/8, +3/8) pixels off the centre.
-    """
-    original = module.glRenderbufferStorageMultisample
-    module.glRenderbufferStorageMultisample = lambda target, samples, *rest: original(target, 0, *rest)
-    try:
-        yield
-    finally:
-        module.glRenderbufferStorageMultisample = original
 
 
 def _mesh(pyrender: Any, mesh: Mesh) -> Any:
