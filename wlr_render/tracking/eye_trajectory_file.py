@@ -35,6 +35,7 @@ from wlr_render.tracking.text_rows import (
     read_text_table,
     require_ascending_rows,
     require_plausible_motion,
+    require_plausible_times,
     role_of,
     shortest,
 )
@@ -80,7 +81,7 @@ def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
         name = f"{path} ({eye} eye)"
         if gaze:
             require_ascending_rows(rows, content[:, 0])
-            require_plausible_motion(name, content[:, 0], np.zeros((len(rows), 3)), _FAR_M)
+            require_plausible_times(name, content[:, 0])
             tracks[eye] = GazeTrack(content[:, 0], content[:, 1:], header.eye_model(eye), name)
         else:
             tracks[eye] = _viewpoints(name, rows, content)

@@ -335,32 +335,40 @@ def require_ascending_rows(rows: Sequence[Row], time_s: FloatArray, column: int 
         )
 
 
-def require_plausible_motion(where: str, time_s: FloatArray, position_m: FloatArray, at_most_m: float) -> None:
-    """Refuse trajectories whose positions (n, 3) or times (n,) look like millimetres or milliseconds.
+def require_plausible_times(where: str, time_s: FloatArray) -> None:
+    """Refuse times (n,) that look like milliseconds.
 
     Raises:
-        BadInputError: a position is more than `at_most_m` away, most rows move faster than people do, or the intervals
-            of five or more rows are mostly seconds.
+        BadInputError: a time is too large, or the intervals of five or more rows are mostly seconds.
     """
     if np.abs(time_s).max(initial=0.0) > LIMITS.time_s:
         raise BadInputError(
             f"{where}: a time is {np.abs(time_s).max():g} s, more than {LIMITS.time_s:g} s; correct it."
         )
-    require_length(f"{where}: a position", position_m, at_most_m)
-    if len(time_s) < 2:
-        return
     interval = np.diff(time_s)
-    speed = np.median(np.linalg.norm(np.diff(position_m, axis=0), axis=1) / interval)
-    if speed > _FASTEST_M_S:
-        raise BadInputError(
-            f"{where}: moves at {speed:.3g} m/s, faster than the plausible {_FASTEST_M_S:g} m/s; are its positions in "
-            "millimetres? Convert them to metres, and its times to seconds."
-        )
     if len(interval) >= 4 and np.median(interval) > _SLOWEST_S:
         raise BadInputError(
             f"{where}: has a row every {np.median(interval):.3g} s, more than the plausible {_SLOWEST_S:g} s; are its "
             "times in milliseconds? Convert them to seconds."
         )
+
+
+def require_plausible_motion(where: str, time_s: FloatArray, position_m: FloatArray, at_most_m: float) -> None:
+    """Refuse trajectories whose positions (n, 3) or times (n,) look like millimetres or milliseconds.
+
+    Raises:
+        BadInputError: a position is more than `at_most_m` away, most rows move faster than people do, or as
+            `require_plausible_times`.
+    """
+    require_length(f"{where}: a position", position_m, at_most_m)
+    if len(time_s) > 1:
+        speed = np.median(np.linalg.norm(np.diff(position_m, axis=0), axis=1) / np.diff(time_s))
+        if speed > _FASTEST_M_S:
+            raise BadInputError(
+                f"{where}: moves at {speed:.3g} m/s, faster than the plausible {_FASTEST_M_S:g} m/s; are its positions "
+                "in millimetres? Convert them to metres, and its times to seconds."
+            )
+    require_plausible_times(where, time_s)
 
 
 def shortest(values: Iterable[float]) -> str:
