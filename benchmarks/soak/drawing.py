@@ -3,9 +3,9 @@
 import time
 from collections.abc import Iterator, Sequence
 
+from benchmarks.scene_source import SceneSource
 from benchmarks.soak.process import CollectorTime, preemptions, resident_mb
 from benchmarks.soak.records import Cost, FrameNote, StreamFrame
-from wlr_render.draw.scene_source import SceneSource
 from wlr_render.warp.composed_frame import ComposedFrame
 from wlr_render.warp.compositor import Compositor
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from benchmarks.scene_source import SceneSource
 from benchmarks.soak.records import MapCheck, StreamFrame
-from wlr_render.draw.scene_source import SceneSource
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.compositor import Compositor

@@ -5,13 +5,13 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
+from benchmarks.scene_source import SceneSource
 from benchmarks.soak.drawing import draw_frames
 from benchmarks.soak.map_check import check_maps, frames_to_check
 from benchmarks.soak.picture import draw_stream
 from benchmarks.soak.records import Stream
 from benchmarks.soak.report import frames_csv, tables_of
 from benchmarks.soak.wearer import Wearer
-from wlr_render.draw.scene_source import SceneSource
 from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs.headset import headset_path, open_eye
 from wlr_render.jobs.options import (

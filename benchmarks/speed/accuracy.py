@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from benchmarks.raster.disocclusion import hidden_from, hit_positions
 from benchmarks.raster.raster_error import raster_error
+from benchmarks.scene_source import SceneSource
 from wlr_render.draw.painters import position_of_source, with_inverse_depth
 from wlr_render.draw.ray_intersections import SceneTracer
-from wlr_render.draw.scene_source import SceneSource
 from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import transforms
 from wlr_render.mappings import Eye

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.scene_source import SceneSource
 from benchmarks.speed.timing import Run
 from benchmarks.speed.workload import HEAD_POSE, Workload
-from wlr_render.draw.scene_source import SceneSource
 from wlr_render.geometry import transforms
 from wlr_render.gl import gl
 from wlr_render.numerics.arrays import FloatArray

@@ -10,10 +10,10 @@ from fitted_eyes import fitted_eye
 
 from benchmarks.raster.disocclusion import disoccluded
 from benchmarks.raster.raster_error import raster_error
+from benchmarks.scene_source import SceneSource
 from benchmarks.speed.accuracy import near_silhouettes
 from wlr_render.draw.painters import position_of_source, with_inverse_depth
 from wlr_render.draw.ray_tracing import RayRenderer
-from wlr_render.draw.scene_source import SceneSource
 from wlr_render.geometry import transforms
 from wlr_render.mappings import Eye
 from wlr_render.scene.shapes import construction

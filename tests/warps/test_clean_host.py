@@ -7,7 +7,7 @@ import pytest
 from gl_caller import assert_same
 from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
-from wlr_render.draw.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.gl.framebuffers import TextureLayer
 from wlr_render.warp.stored_picture import DepthKind, StoredDepth

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from warps.composing import HEAD, clear_of_edges, draw, planar, scene, traced, viewpoint
 
+from benchmarks.scene_source import SceneSource
 from wlr_render.draw.ray_tracing import RayRenderer
-from wlr_render.draw.scene_source import SceneSource
 from wlr_render.geometry import directions, transforms
 from wlr_render.warp.raster_camera import EyePlan
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
-from wlr_render.draw.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.gl.framebuffers import TextureLayer
 from wlr_render.gl.native_contexts import OsMesaContext

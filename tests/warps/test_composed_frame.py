@@ -16,8 +16,8 @@ from warps.composing import (
     viewpoint,
 )
 
+from benchmarks.scene_source import SceneSource
 from wlr_render.draw.ray_tracing import RayRenderer
-from wlr_render.draw.scene_source import SceneSource
 from wlr_render.geometry import transforms
 
 LATE = HEAD @ at(

@@ -12,7 +12,7 @@ from gl_caller import Caller
 from gl_scenes import at
 from warps.composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
 
-from wlr_render.draw.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.gl import gl
 from wlr_render.warp.compositor import Compositor

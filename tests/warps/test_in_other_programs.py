@@ -10,7 +10,7 @@ import pytest
 from gl_caller import assert_same, run
 from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
-from wlr_render.draw.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.warp.compositor import Compositor
 

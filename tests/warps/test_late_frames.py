@@ -12,10 +12,10 @@ from gl_caller import assert_same
 from gl_scenes import at
 from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
+from benchmarks.scene_source import SceneSource
 from wlr_render import Compositor
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.draw.scene_raster import SceneRaster
-from wlr_render.draw.scene_source import SceneSource
 from wlr_render.engine import FrameHandle
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms

@@ -6,7 +6,7 @@ import pytest
 from gl_scenes import at
 from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
-from wlr_render.draw.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.gl.framebuffers import TextureLayer

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from warps.composing import HEAD, SMALL, scene, viewpoint
 
-from wlr_render.draw.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.warp.compositor import Compositor
 

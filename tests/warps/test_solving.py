@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
-from wlr_render.draw.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.mappings import QueryResult, Status
 from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver
 from wlr_render.warp.ray_map import RayMap

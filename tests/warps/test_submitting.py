@@ -7,8 +7,8 @@ import pytest
 from gl_scenes import at
 from warps.composing import CONTEXTS, HEAD, draw, scene, viewpoint
 
+from benchmarks.scene_source import SceneSource
 from wlr_render.draw.gl_raster import GlRaster
-from wlr_render.draw.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.warp.stored_picture import DepthKind, Rows, StoredDepth

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 from wlr_render.draw.painters import Frame, channels_of, ray_maps_of, with_inverse_depth
 from wlr_render.draw.scene_raster import SceneRaster
-from wlr_render.draw.scene_source import SceneSource
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.srgb import encode_srgb
@@ -48,7 +47,7 @@ class WarpedPainter:
             late_margin_deg=0.0,
             background=(red, green, blue),
         )
-        self._plan, self._source = self._compositor.plan(eye), SceneSource(self._compositor, raster)
+        self._plan, self._raster = self._compositor.plan(eye), raster
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """Return the view of the intermediate image; its camera is the same for all viewpoints in the eye box."""
@@ -57,7 +56,8 @@ class WarpedPainter:
     def paint(self, viewpoint: FloatArray, world_from_device: FloatArray, with_geometry: bool = False) -> Frame:
         """Return a warped frame; see `Painter`."""
         (camera,) = self._compositor.begin_frame(world_from_device, viewpoint).values()
-        image = self._source.submit(camera)
+        image = self._raster.draw_on_gpu(camera.view, camera.eye)
+        self._compositor.submit(image)
         composed = self._compositor.compose(with_source=with_geometry)
 
         def ray_maps() -> tuple[RayMap, ...]:
