@@ -123,7 +123,7 @@ vec2 range_of_cell(int channel, ivec2 point)
         return vec2(0.0);
     vec4 middle = 0.5 * (low + high), size = high - low;
     float px_per_inverse_depth = length(max(abs(low.zw), abs(high.zw)));
-    vec2 within = range_around(middle.xy, 1e9);
+    vec2 within = range_of_image();
 #if INSET
     // A cell that shows nothing of the inset.
     vec2 reach = within.y * max(abs(low.zw), abs(high.zw)) + SLACK_PX;
@@ -132,11 +132,11 @@ vec2 range_of_cell(int channel, ivec2 point)
 #endif
     for (int k = 0; k < 2; ++k) {
         float width_px = max(size.x, size.y) + within.y * max(size.z, size.w) + SLACK_PX;
-        within = narrowed(middle.xy, middle.zw, within, width_px, size_px, true);
+        within = narrowed(middle.xy, middle.zw, within, width_px, size_px);
     }
     for (int k = 0; k < SEARCHES && px_per_inverse_depth * (within.y - within.x) > SHORT_PX; ++k) {
         float width_px = max(size.x, size.y) + within.y * max(size.z, size.w) + SLACK_PX;
-        within = searched(middle.xy, middle.zw, within, PARTS, width_px, size_px, true);
+        within = searched(middle.xy, middle.zw, within, PARTS, width_px, size_px);
     }
     bool direct = px_per_inverse_depth * (within.y - within.x) <= DIRECT_PX;
     return marked(direct ? within.yx : within, is_minified(corner));

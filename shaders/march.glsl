@@ -1,18 +1,11 @@
-// Intersect a ray with the depth of the intermediate image; warp/warp.py states the algorithm.
+// Intersect a ray with the depth of the intermediate image, texel by texel; warp/warp.py states the algorithm.
 //
-// Needs STEP_PX, MAX_STEPS, MAX_REFINEMENTS, CONVERGED_PX, SURFACE_STEP, and of the pixel shader `inverse_depth`,
-// `range`, `size_px` and `per_texel`. One loop with one texture read in each round, whether it marches or refines:
-// software renderers execute both sides of a branch, and one round too many of a loop tested at its head. They leave a
-// loop tested at its end for all neighbours at once, and may mix the last rounds: so the variables of the result (query,
-// last_crossing, converged) no longer change once a pixel has stopped searching.
+// Needs SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`, `range`, `size_px` and `per_texel`. One loop with
+// the same reads in each round: software renderers execute both sides of a branch.
 
-const float PART_PX = float(TILE) - 3.0;  // with its margin as long as the pyramid's finest texels
-const int MAX_PARTS = 24;
+uniform sampler2D tiles;  // smallest and largest inverse depth of TILE x TILE texels
 
-float nearest_inverse_depth(vec2 pixel)
-{
-    return texture(inverse_depth, pixel * per_texel).r;
-}
+const float NUDGE_PX = 1e-3;  // texels that a path crosses over a shorter length are skipped
 
 float smooth_inverse_depth(vec2 pixel)
 {
@@ -26,55 +19,55 @@ float smooth_inverse_depth(vec2 pixel)
     return mix(mix(texels.w, texels.z, weight.x), mix(texels.x, texels.y, weight.x), weight.y);
 }
 
+// Whether two neighbours belong together: hardly a step, or one that opens less than half a pixel.
+bool is_one_surface(float one, float other, float half_px)
+{
+    return abs(one - other) <= max(SURFACE_STEP * max(one, other), half_px);
+}
+
 int march(vec2 at_infinity, vec2 shift, out vec2 pixel)
 {
-    float px_per_inverse_depth = length(shift);
-    float path_px = px_per_inverse_depth * (range.y - range.x);
-    int parts = path_px > PART_PX ? min(int(path_px / PART_PX) + 1, MAX_PARTS) : 0;
-    vec2 within = searched(at_infinity, shift, range, parts, 3.0, size_px, false);
-    // Twice, because bounds near a depth edge come from a longer path than is left.
-    within = narrowed(at_infinity, shift, within, 3.0, size_px, false);
-    within = narrowed(at_infinity, shift, within, 3.0, size_px, false);
-    float step_count = clamp(ceil(px_per_inverse_depth * (within.y - within.x) / STEP_PX), 1.0, float(MAX_STEPS));
-    float stride = (within.y - within.x) / step_count;
+    float px_per_inverse_depth = max(length(shift), 1e-12), one_px = 1.0 / px_per_inverse_depth;
+    vec2 nudge = -NUDGE_PX * one_px * shift;
+    vec2 ahead = vec2(lessThan(shift, vec2(0.0)));  // 1 where the path leads to larger coordinates
+    vec2 per_shift = (1.0 - 2.0 * ahead) / max(abs(shift), 1e-12);
+    vec2 tiles_per_px = 1.0 / (float(TILE) * vec2(textureSize(tiles, 0)));
 
-    float step_index = 1.0;
-    float far_end = within.y - stride;
-    float seen_near = nearest_inverse_depth(at_infinity + within.y * shift);  // at the step's two ends
-    float seen_far = seen_near;
-    bool in_front = true;  // at its near end
-    bool refining = step_count == 1.0;
-    float query = refining ? seen_near : far_end;
-    float last_crossing = within.y;
-    int refinements = 0;
-    bool converged = false;
-    bool searching;
+    // Rounded bounds leave out none of the depths between them.
+    float far_end = range.x * (1.0 - 1e-6), here = range.y * (1.0 + 1e-6);
+    float before = here, met = here;
+    bool in_front = true, meets = false, searching = true;
     do {
-        searching = !converged && step_index <= step_count;
-        float seen = smooth_inverse_depth(at_infinity + query * shift);
-        bool closes = abs(seen - query) * px_per_inverse_depth < CONVERGED_PX;
-        converged = converged || searching && refining && closes;
+        vec2 place = at_infinity + here * shift + nudge;
+        vec2 texel = floor(place), tile = floor(place / float(TILE));
+        vec2 leaves = (texel + ahead - at_infinity) * per_shift;
+        vec2 leaves_tile = ((tile + ahead) * float(TILE) - at_infinity) * per_shift;
+        // Rounding may put a border that the path has just crossed, or hardly approaches, behind it.
+        leaves = mix(leaves, vec2(here - one_px), greaterThanEqual(leaves, vec2(here)));
+        leaves_tile = mix(leaves_tile, vec2(here - one_px), greaterThanEqual(leaves_tile, vec2(here)));
+        float end = max(max(leaves.x, leaves.y), far_end), end_of_tile = max(max(leaves_tile.x, leaves_tile.y), far_end);
+        vec2 bounds = texture(tiles, (tile + 0.5) * float(TILE) * tiles_per_px).xy;
+        float seen = texture(inverse_depth, (texel + 0.5) * per_texel).r;
 
-        seen_far = refining ? seen_far : seen;
-        float nearer = max(seen_near, seen_far), farther = min(seen_near, seen_far);
-        float middle = far_end + 0.5 * stride;
-        bool crosses = in_front ? nearer >= far_end || step_index == step_count : abs(seen_far - middle) <= 0.51 * stride;
-        float start = abs(nearer - middle) <= 1.5 * stride ? nearer : farther;
-        float next = refining ? seen : start;
-        refinements = refining ? refinements + 1 : 0;
-        bool is_near_step = step_count == 1.0 || abs(next - middle) <= 1.5 * stride;
-        bool continues = is_near_step && (refining ? refinements < MAX_REFINEMENTS : crosses);
-        bool misses = !continues && (refining || crosses);
-        last_crossing = searching && misses ? (refining ? max(seen, query) : nearer) : last_crossing;
-
-        bool advances = !converged && !continues;
-        in_front = advances ? seen_far < far_end : in_front;
-        seen_near = advances ? seen_far : seen_near;
-        step_index += advances ? 1.0 : 0.0;
-        far_end = advances ? within.y - step_index * stride : far_end;
-        refining = !advances;
-        query = !searching ? query : advances ? far_end : next;
-    } while (!converged && step_index <= step_count);
-    pixel = at_infinity + (converged ? query : last_crossing) * shift;
-    return converged ? SEEN : DISOCCLUDED;
+        bool is_behind = seen > here;
+        bool behind_tile = !in_front && bounds.x > here && is_one_surface(bounds.x, bounds.y, 0.5 * one_px);
+        bool skips = bounds.y < end_of_tile || behind_tile;
+        bool joins = is_one_surface(before, seen, 0.5 * one_px);
+        meets = meets || searching && !skips && seen >= end && (!is_behind || in_front && joins);
+        bool edge = !meets && !skips && is_behind && !joins;
+        met = !searching ? met : meets ? min(seen, here) : edge ? max(seen, before) : met;
+        before = skips ? bounds.y : seen;
+        in_front = skips ? in_front : !is_behind;
+        here = meets ? here : skips ? end_of_tile : end;
+        searching = !meets && here > far_end;
+    } while (searching);
+    // Twice, then what a plane's steps converge to.
+    float second = smooth_inverse_depth(at_infinity + met * shift);
+    float third = smooth_inverse_depth(at_infinity + second * shift);
+    float first_step = second - met, second_step = third - second;
+    bool converges = abs(second_step) < 0.5 * abs(first_step);
+    float limit = converges ? third + second_step * second_step / (first_step - second_step) : third;
+    bool stays = meets && abs(limit - met) * px_per_inverse_depth < 1.5;
+    pixel = at_infinity + (stays ? limit : met) * shift;
+    return meets ? SEEN : DISOCCLUDED;
 }

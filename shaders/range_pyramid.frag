@@ -3,27 +3,19 @@
 //
 // Levels lie side by side, with n, n / 2, ... 2 texels along each axis; n is the target's height. A place holds the bounds
 // of the four texels around its upper left corner, so that one read gets them. Tiles beyond the image repeat its last
-// ones.
+// ones. The finest level's texels cover two tiles along each axis; those of coarse levels cover whole large tiles.
 
 uniform sampler2D tiles;
+uniform sampler2D large_tiles;  // of TILE x TILE tiles
 uniform int target_height;
 
 layout(location = 0) out vec2 range;
 
-void main()
+// Bounds of `count` tiles along each axis on either side of a corner, counted in them.
+vec2 range_of(sampler2D tiles, ivec2 corner, int count)
 {
-    ivec2 place = ivec2(gl_FragCoord.xy), size = textureSize(tiles, 0);
-    int side = target_height, tiles_per_texel = 1;
-    while (place.x >= side && side > 2) {
-        place.x -= side;
-        side /= 2;
-        tiles_per_texel *= 2;
-    }
-    range = vec2(0.0);
-    if (place.x >= side || place.y >= side)
-        return;
-    ivec2 first = clamp((place - 1) * tiles_per_texel, ivec2(0), size - 1);
-    ivec2 end = clamp((place + 1) * tiles_per_texel, first + 1, size);
+    ivec2 size = textureSize(tiles, 0), first = clamp((corner - 1) * count, ivec2(0), size - 1);
+    ivec2 end = clamp((corner + 1) * count, first + 1, size);
     vec4 low = vec4(uintBitsToFloat(0x7f800000u)), high = vec4(0.0);
     for (int y = first.y; y < end.y; y += 2) {
         for (int x = first.x; x < end.x; x += 2) {
@@ -34,5 +26,23 @@ void main()
             high = max(high, vec4(columns.yw, below.yw));
         }
     }
-    range = vec2(min(min(low.x, low.y), min(low.z, low.w)), max(max(high.x, high.y), max(high.z, high.w)));
+    return vec2(min(min(low.x, low.y), min(low.z, low.w)), max(max(high.x, high.y), max(high.z, high.w)));
+}
+
+void main()
+{
+    ivec2 place = ivec2(gl_FragCoord.xy);
+    int side = target_height, tiles_per_texel = 2;
+    while (place.x >= side && side > 2) {
+        place.x -= side;
+        side /= 2;
+        tiles_per_texel *= 2;
+    }
+    range = vec2(0.0);
+    if (place.x >= side || place.y >= side)
+        return;
+    if (tiles_per_texel < TILE)
+        range = range_of(tiles, place, tiles_per_texel);
+    else
+        range = range_of(large_tiles, place, tiles_per_texel / TILE);
 }

@@ -1,5 +1,5 @@
 #version 410
-// The smallest and the largest value in each tile of an image.
+// The smallest and the largest value in each tile of an image: of inverse depths, or of smaller tiles' ranges.
 
 uniform sampler2D values;
 
@@ -14,9 +14,10 @@ void main()
     vec4 high = vec4(0.0);
     for (int y = first.y; y < end.y; y += 2) {
         for (int x = first.x; x < end.x; x += 2) {
-            vec4 four = textureGather(values, vec2(x + 1, y + 1) / vec2(size));
+            vec2 shared_corner = vec2(x + 1, y + 1) / vec2(size);
+            vec4 four = textureGather(values, shared_corner);
             low = min(low, four);
-            high = max(high, four);
+            high = max(high, OF_RANGES == 1 ? textureGather(values, shared_corner, 1) : four);
         }
     }
     range = vec2(min(min(low.x, low.y), min(low.z, low.w)), max(max(high.x, high.y), max(high.z, high.w)));

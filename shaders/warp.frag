@@ -48,7 +48,6 @@ vec2 size_px = vec2(textureSize(picture, 0));
 vec2 per_texel = 1.0 / size_px;
 
 #if MARCH
-#include "ranges.glsl"
 #include "march.glsl"
 #endif
 

@@ -44,12 +44,12 @@ def near_a_border(at_infinity, shift_px, inverse_depth):
     return (np.abs(u - np.round(u)) < 2e-3).any(axis=1)
 
 
-@pytest.mark.parametrize("width_px", [2, 3])
+@pytest.mark.parametrize("width_px", [1, 2, 3])
 @pytest.mark.parametrize("shift_px", [20.0, -20.0, 37.0])
 def test_a_thin_pole_before_a_wall_is_never_skipped(gl_context, width_px, shift_px):
     depth = np.full(CAMERA.width_px, FAR)
     depth[120 : 120 + width_px] = NEAR
-    at_infinity = np.arange(60.0, 180.0, 0.0731)
+    at_infinity = np.arange(60.0, 180.0, 0.0331)
     result = warped(gl_context, columns(depth), CAMERA, [rays(at_infinity, shift_px)])
     expected = first_met(at_infinity, shift_px, depth)
     clear = ~near_a_border(at_infinity, shift_px, depth)
@@ -64,6 +64,24 @@ def test_a_thin_pole_before_a_wall_is_never_skipped(gl_context, width_px, shift_
     np.testing.assert_allclose(result.source[0, on_pole, 0], at_pole[on_pole], atol=2e-3)
     # What is behind the pole is filled from where the ray passed it, beside its edge.
     np.testing.assert_allclose(result.source[0, hidden, 0], at_pole[hidden], atol=2e-3)
+
+
+@pytest.mark.parametrize("depth_m", [0.1, 0.3, 3.0])
+@pytest.mark.parametrize("lean", [0.0, 0.7, -3.0])
+def test_a_wire_of_one_pixel_is_whole_from_20_mm_aside(gl_context, depth_m, lean):
+    """A wire before a wall at 5 m, upright or across rows and columns: rays through its pixels' centres meet it."""
+    camera = Pinhole(240, 200, np.array([-0.6, -0.5]), np.array([0.6, 0.5]))
+    place = np.stack(np.meshgrid(np.arange(240) + 0.5, np.arange(200) + 0.5), axis=-1)
+    across = (place[..., 0] - 120.0) - lean * (place[..., 1] - 100.0)
+    wire = (across > -0.5 * max(1.0, abs(lean))) & (across <= 0.5 * max(1.0, abs(lean)))
+    inverse_depth = np.where(wire, 1 / depth_m, 0.2).astype(np.float32)
+    image = GeometryImage(np.zeros((*wire.shape, 3), np.uint8), inverse_depth)
+    tangents = camera.tangents_of_pixel(place - [0.02 * camera.focal_px[0] / depth_m, 0.0])
+    rays_aside = np.concatenate([tangents, np.broadcast_to([0.02, 0.0], tangents.shape)], axis=-1)
+    result = warped(gl_context, image, camera, [np.moveaxis(rays_aside, -1, 0).astype(np.float32)])
+    assert wire.sum() >= 200
+    assert (result.status[wire] == WarpStatus.SEEN).all()
+    np.testing.assert_allclose(result.source[wire], place[wire], atol=2e-3)
 
 
 @pytest.mark.parametrize("shift_px", [20.0, -20.0])

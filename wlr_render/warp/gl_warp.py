@@ -16,14 +16,10 @@ from wlr_render.numerics.srgb import decode_srgb
 from wlr_render.warp.gl_overlay import SeenOverlay
 from wlr_render.warp.gl_panel import SRGB_ENCODER, PanelEncoder
 from wlr_render.warp.gl_ray_maps import RayTexture
-from wlr_render.warp.gpu_image import GlDepthRanges, GpuImage
+from wlr_render.warp.gpu_image import DepthRanges, GlDepthRanges, GpuImage
 from wlr_render.warp.warp import (
-    CONVERGED_PX,
     DIRECT_PX,
-    MAX_REFINEMENTS,
-    MAX_STEPS,
     SPACING_PX,
-    STEP_PX,
     SURFACE_STEP,
     TILE,
     WarpedImage,
@@ -34,10 +30,6 @@ MAX_OVERLAYS = 4
 """Overlays of an eye that are shown at once."""
 
 _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
-    "STEP_PX": STEP_PX,
-    "MAX_STEPS": MAX_STEPS,
-    "MAX_REFINEMENTS": MAX_REFINEMENTS,
-    "CONVERGED_PX": CONVERGED_PX,
     "SURFACE_STEP": SURFACE_STEP,
     "TILE": TILE,
     "DIRECT_PX": DIRECT_PX,
@@ -234,7 +226,7 @@ class GlWarp:
             program = drawing.program
             gl.bind_textures(
                 program,
-                ranges=cells.pyramid,
+                tiles=cells.ranges.tiles,
                 paths=cells.paths,
                 bends=cells.bends,
                 mixed_bends_and_ranges=cells.mixed_bends_and_ranges,
@@ -260,12 +252,12 @@ class GlWarp:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Outputs of `cells.frag` for a picture of (width, height), and the pyramid of the picture's depths."""
+    """Outputs of `cells.frag` for a picture of (width, height), and the bounds of the picture's depths."""
 
     paths: gl.Texture
     bends: gl.Texture
     mixed_bends_and_ranges: gl.Texture
-    pyramid: gl.Texture
+    ranges: DepthRanges
     size_px: tuple[int, int]
 
 
@@ -286,7 +278,7 @@ class _GlCells:
         inset: _Cells | None,
     ) -> _Cells:
         """Find the cells of a picture, which may be an inset, and may have one."""
-        pyramid = self._ranges.of(image)
+        ranges = self._ranges.of(image)
         warp_grid = ray_maps[0].warp_grid
         matrices = image.camera.image_from_camera @ image_from_ray_map
         by_rows = matrices.ndim == 3
@@ -295,7 +287,7 @@ class _GlCells:
         constants |= {"INSET": int(is_inset), "HAS_INSET": int(inset is not None)}
         drawing = self._context.full_screen("cells.frag", **constants, **_CONSTANTS)
         program = drawing.program
-        textures: dict[str, Any] = {"ranges": pyramid, "slope_offset": [each.slope_offset for each in ray_maps]}
+        textures: dict[str, Any] = {"ranges": ranges.pyramid, "slope_offset": [each.slope_offset for each in ray_maps]}
         if by_rows:
             rows = self._targets.get("camera matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
             rows.write(np.ascontiguousarray(_at_grid_rows(matrices, warp_grid.rows), np.float32))
@@ -312,7 +304,7 @@ class _GlCells:
         gl.set_uniforms(program, size_px=tuple(map(float, size_px)), display_px_per_cell=per_cell)
         drawing.render(vertices=3)
         paths, bends, mixed_bends_and_ranges = cells.textures
-        return _Cells(paths, bends, mixed_bends_and_ranges, pyramid, size_px)
+        return _Cells(paths, bends, mixed_bends_and_ranges, ranges, size_px)
 
 
 def _check(

@@ -1,6 +1,6 @@
-"""A rendered image on the GPU, and the pyramid of its inverse depths' bounds."""
+"""A rendered image on the GPU, and the bounds of its inverse depths."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,35 +75,56 @@ def shader_intrinsics(camera: Pinhole) -> tuple[float, float, float, float]:
     return float(focal_u), float(focal_v), float(centre_u), float(centre_v)
 
 
+@dataclass(frozen=True, eq=False)
+class DepthRanges:
+    """Smallest and largest inverse depths of an image, as RG32F textures.
+
+    Attributes:
+        tiles: of TILE x TILE px, from the upper left corner.
+        pyramid: see `range_pyramid.frag`.
+    """
+
+    tiles: gl.Texture
+    pyramid: gl.Texture
+
+
 class GlDepthRanges:
-    """Computes the pyramid of bounds that `ranges.glsl` reads; textures are reused between images of one size."""
+    """Computes `DepthRanges`; textures are reused between images of one size."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context, self._targets = context, gl.RenderTargets(context)
-        self._last: tuple[GpuImage, gl.Texture] | None = None
+        self._last: tuple[GpuImage, DepthRanges] | None = None
         with context.drawing():
-            self._of_tiles = context.full_screen("tile_range.frag", TILE=TILE)
-            self._of_levels = context.full_screen("range_pyramid.frag")
+            self._of_tiles = context.full_screen("tile_range.frag", TILE=TILE, OF_RANGES=0)
+            self._of_large_tiles = context.full_screen("tile_range.frag", TILE=TILE, OF_RANGES=1)
+            self._of_levels = context.full_screen("range_pyramid.frag", TILE=TILE)
 
-    def of(self, image: GpuImage) -> gl.Texture:
-        """RG32F, smallest and largest inverse depth; overwritten by the next image's. Call within a `drawing` block.
+    def of(self, image: GpuImage) -> DepthRanges:
+        """Return textures that the next image's overwrite. Call within a `drawing` block.
 
         An image that is warped again, as for a newer pose, has them already.
         """
         if self._last is not None and self._last[0] is image:
             return self._last[1]
-        width, height = (-(-side // TILE) for side in image.inverse_depth.size)
-        side = 1 << max(2, (max(width, height) - 1).bit_length())
-        tiles = self._targets.get("tiles", (width, height), (2, "f4"))
-        pyramid = self._targets.get("pyramid", (2 * side, side), (2, "f4"))
-        _draw(self._context, self._of_tiles, tiles, values=image.inverse_depth)
+        size = image.inverse_depth.size
+        (tiles,) = self._draw("tiles", self._of_tiles, _tiled(size), values=image.inverse_depth)
+        (large,) = self._draw("large tiles", self._of_large_tiles, _tiled(_tiled(size)), values=tiles)
+        side = 1 << max(2, (-(-max(_tiled(size)) // 2) - 1).bit_length())
         gl.set_uniforms(self._of_levels.program, target_height=side)
-        _draw(self._context, self._of_levels, pyramid, tiles=tiles.textures[0])
-        self._last = image, pyramid.textures[0]
-        return pyramid.textures[0]
+        (pyramid,) = self._draw("pyramid", self._of_levels, (2 * side, side), tiles=tiles, large_tiles=large)
+        self._last = image, DepthRanges(tiles, pyramid)
+        return self._last[1]
+
+    def _draw(
+        self, name: str, full_screen: gl.VertexArray, size: tuple[int, int], **textures: gl.Texture
+    ) -> Sequence[gl.Texture]:
+        target = self._targets.get(name, size, (2, "f4"))
+        self._context.draw_to(target.framebuffer)
+        gl.bind_textures(full_screen.program, **textures)
+        full_screen.render(vertices=3)
+        return target.textures
 
 
-def _draw(context: gl.GlContext, full_screen: gl.VertexArray, target: gl.RenderTarget, **textures: gl.Texture) -> None:
-    context.draw_to(target.framebuffer)
-    gl.bind_textures(full_screen.program, **textures)
-    full_screen.render(vertices=3)
+def _tiled(size: tuple[int, int]) -> tuple[int, int]:
+    """Return the numbers of tiles that cover an image."""
+    return -(-size[0] // TILE), -(-size[1] // TILE)

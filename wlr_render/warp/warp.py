@@ -9,29 +9,27 @@ depth w is projected to the image position
 where the image has inverse depth D(s). While D(s(w)) < w the ray is in front of the imaged surface; it intersects the
 surface where D(s(w)) = w. The algorithm:
 
-1. The path runs from the largest to the smallest inverse depth of the image along it, in equal steps of at most STEP_PX
-   in the image (and at most MAX_STEPS steps). The bounds come from a pyramid whose finest texels hold the smallest and
-   the largest value of TILE x TILE px: first for all paths of a cell of the warp grid, then for each pixel. Long
-   paths are divided into parts, and the parts in front of the first and behind the last possible intersection are left
-   out. Most paths have one step. Where the bounds differ by less than DIRECT_PX in the image for a whole cell, the
-   source is s(D(s(w))) with w midway between them, and the following does not apply.
-2. A step may contain the intersection if the ray is in front at its near end and crosses one of the two surfaces seen
-   at its ends (either surface may end within the step: thin objects), or if it is behind at its near end and crosses
-   the surface seen at its far end (it leaves the occluder and reaches the surface behind).
-3. Such a step is refined by w <- D(s(w)), starting from the nearer of those two surfaces, which hides the other, if its
-   w is within the step or an adjacent one, otherwise from the farther one. When s changes by less than CONVERGED_PX,
-   that position is the source, SEEN. On a surface whose inverse depth rises by g per pixel each refinement shrinks the
-   error by |f c g| (about 1e-3): one refinement is usually enough.
-4. If w leaves the step and its neighbours, or does not converge in MAX_REFINEMENTS, the ray has crossed a depth edge:
-   it is now behind the near surface, or has passed it. The search continues with the next steps.
+1. The path runs from the largest to the smallest inverse depth of the image along it. The bounds of all paths of a cell
+   of the warp grid come from a pyramid of the smallest and largest values. Where they differ by less than DIRECT_PX in
+   the image for a whole cell, the source is s(D(s(w))) with w midway between them, and the following does not apply.
+2. The path is followed from its near end, texel by texel. A tile of TILE x TILE px is left at once if the ray is in
+   front of all that it shows, or behind one surface that fills it: no texel that the path crosses over more than a
+   thousandth of a pixel is left out where it could matter, whatever the path's length.
+3. The ray meets a texel's surface whose inverse depth lies between those at which it enters and leaves the texel. It
+   also meets a surface between two texels if it was in front at the first and is behind at the second, and if both are
+   of one surface: their inverse depths differ by at most SURFACE_STEP of the larger one, or open less than half a
+   pixel. The position is refined by w <- D(s(w)), twice; on planes these steps shrink by a constant factor, which gives
+   their limit. The position is the source, SEEN.
+4. If the ray is behind at the second and the texels are not of one surface, the ray has passed a depth edge. The search
+   continues: the ray may leave the occluder and meet the surface behind.
 5. Without an intersection the ray ends behind the last depth edge that it crossed, in a region hidden from the image:
-   DISOCCLUDED. The farther side of that edge is shown instead: s at the nearer of the last two w tried.
+   DISOCCLUDED. The farther side of that edge is shown instead: s at the nearer of the edge's two inverse depths.
 6. A position outside 0..width, 0..height is OUTSIDE; a NaN in the ray map, or a ray that does not lead forwards, is
    NO_RAY.
 
 D is bilinear where its four texels differ by at most SURFACE_STEP of the largest (exact for planes, whose inverse
-depth is linear in the pixel), otherwise the nearest texel; beyond the border it repeats the border's texels. The first
-query, at a path's near end, reads the nearest texel. The background has w = 0 and is intersected at (a, b).
+depth is linear in the pixel), otherwise the nearest texel; beyond the border it repeats the border's texels. The
+background has w = 0 and is intersected at (a, b).
 
 Colour is bilinear in linear light, and encoded once in the end; hardware filters have 8-bit weights, which is worth a
 code of 255 at most. Where the map minifies, `samples_per_axis` > 1 averages samples_per_axis squared such samples,
@@ -49,12 +47,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-STEP_PX = 1.0
-MAX_STEPS = 256
-MAX_REFINEMENTS = 6
-CONVERGED_PX = 0.01
 SURFACE_STEP = 0.02
-TILE = 16
+TILE = 8
 DIRECT_PX = 0.05
 SPACING_PX = 1.25
 """Largest spacing of bilinear samples that covers every texel: each sample reaches one pixel to either side."""
