@@ -2,7 +2,6 @@
 
 import functools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from wlr_render.exports.facts import facts, header_texts
 from wlr_render.exports.format import Capabilities, Format, Loss
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
+from wlr_render.geometry.splined_lens import SplinedLens
 from wlr_render.io.atomic_files import write_text
 from wlr_render.numerics.arrays import FloatArray
 
@@ -77,38 +77,12 @@ class Mrcal(Format):
         yield write_text(paths[0], _cameramodel(view, _fitted_camera(view, colour), texts))
 
 
-@dataclass(frozen=True, eq=False)
-class _SplinedCamera:
-    """LENSMODEL_SPLINED_STEREOGRAPHIC of order 3.
-
-    A direction (x, y, z) has the stereographic coordinates u = 2 (x, y) / (z + length); it is projected to
-    (u + spline(u)) * focal_px + centre_px.
-
-    Attributes:
-        field_x_deg: field of view that the control points cover from the left to the right.
-        shape: numbers of control points along x and y.
-        focal_px, centre_px: (2,).
-        control: (shape[1] * shape[0], 2) values of the control points, row by row.
-    """
-
-    field_x_deg: int
-    shape: tuple[int, int]
-    focal_px: FloatArray
-    centre_px: FloatArray
-    control: FloatArray
-
-    def project(self, u: FloatArray) -> FloatArray:
-        """Return the pixels (n, 2) of stereographic coordinates (n, 2)."""
-        spline = _spline_weights(u, self.field_x_deg, self.shape) @ self.control
-        return np.asarray((u + spline) * self.focal_px + self.centre_px)
-
-
-def _intervals_per_unit(field_x_deg: int, columns: int) -> float:
+def _intervals_per_unit(field_x_deg: float, columns: int) -> float:
     """Return mrcal's knot density: the field of view and, for cubic splines, one more interval on either side."""
     return float((columns - 3) / (4 * np.tan(np.radians(field_x_deg) / 4)))
 
 
-def _spline_weights(u: FloatArray, field_x_deg: int, shape: tuple[int, int]) -> csr_array:
+def _spline_weights(u: FloatArray, field_x_deg: float, shape: tuple[int, int]) -> csr_array:
     """Return the weights (n, control points) of the uniform cubic B-spline at stereographic coordinates (n, 2)."""
     index = u * _intervals_per_unit(field_x_deg, shape[0]) + 0.5 * (np.array(shape) - 1)
     knots = tuple(np.arange(count + 4) - 2.0 for count in reversed(shape))
@@ -117,7 +91,7 @@ def _spline_weights(u: FloatArray, field_x_deg: int, shape: tuple[int, int]) -> 
 
 
 @functools.lru_cache(maxsize=3)
-def _fitted_camera(view: ExportedView, colour: str) -> tuple[_SplinedCamera, FloatArray]:
+def _fitted_camera(view: ExportedView, colour: str) -> tuple[SplinedLens, FloatArray]:
     """Fit the camera with the fewest control points that reach the wanted error; returns errors (n,) in pixels."""
     u, pixel = _samples(view, colour, np.linspace(0.0, 1.0, _FITTED))
     step = 1.0 / _HELD_OUT
@@ -128,8 +102,8 @@ def _fitted_camera(view: ExportedView, colour: str) -> tuple[_SplinedCamera, Flo
             "check the pupil position."
         )
     for columns in _COLUMNS:
-        camera = _fit(u, pixel, columns)
-        errors = np.linalg.norm(camera.project(judged_u) - judged_pixel, axis=-1)
+        camera = _fit(u, pixel, columns, view.panel_size_px)
+        errors = np.linalg.norm(_projected(camera, judged_u) - judged_pixel, axis=-1)
         if _rms(errors) <= _WANTED_PX:
             break
     if _rms(errors) > _REFUSED_PX:
@@ -149,7 +123,7 @@ def _samples(view: ExportedView, colour: str, along: FloatArray) -> tuple[FloatA
     return u[is_solved], pixel[is_solved] - _CENTRE_SHIFT
 
 
-def _fit(u: FloatArray, pixel: FloatArray, columns: int) -> _SplinedCamera:
+def _fit(u: FloatArray, pixel: FloatArray, columns: int, size_px: tuple[int, int]) -> SplinedLens:
     """Fit a line along each axis, then the control points to the residual, by linear least squares."""
     half_x, half_y = np.abs(u).max(axis=0)
     field_x_deg = min(int(np.ceil(np.degrees(4 * np.arctan(half_x / 2)))), _WIDEST_DEG)
@@ -161,7 +135,14 @@ def _fit(u: FloatArray, pixel: FloatArray, columns: int) -> _SplinedCamera:
     normal = weights.T @ weights + _SMOOTHING**2 * len(u) / rough.shape[0] * (rough.T @ rough)
     left = (pixel - centre_px) / focal_px - u
     control = np.linalg.solve(normal.toarray(), weights.T @ left)
-    return _SplinedCamera(field_x_deg, shape, focal_px, centre_px, control)
+    return SplinedLens(size_px, focal_px, centre_px, control.reshape(shape[1], shape[0], 2), 3, field_x_deg)
+
+
+def _projected(camera: SplinedLens, u: FloatArray) -> FloatArray:
+    """Return the pixels (n, 2) of stereographic coordinates (n, 2); as mrcal, also where the spline folds."""
+    rows, columns, _ = camera.control.shape
+    shift = _spline_weights(u, camera.fov_x_deg, (columns, rows)) @ camera.control.reshape(-1, 2)
+    return np.asarray((u + shift) * camera.focal_px + camera.centre_px)
 
 
 def _third_differences(shape: tuple[int, int]) -> csr_array:
@@ -173,7 +154,7 @@ def _third_differences(shape: tuple[int, int]) -> csr_array:
     return csr_array(vstack([across, kron(along[1], eye_array(shape[0]))]))
 
 
-def _cameramodel(view: ExportedView, fitted: tuple[_SplinedCamera, FloatArray], texts: dict[str, str]) -> str:
+def _cameramodel(view: ExportedView, fitted: tuple[SplinedLens, FloatArray], texts: dict[str, str]) -> str:
     camera, errors = fitted
     comments = [
         "Panel pixels as one pupil sees them, as a camera model. It holds for this pupil and for points at this depth "
@@ -182,8 +163,8 @@ def _cameramodel(view: ExportedView, fitted: tuple[_SplinedCamera, FloatArray], 
         "most.",
         *(f"{name}: {text}" for name, text in texts.items()),
     ]
-    columns, rows = camera.shape
-    grid = f"order=3_Nx={columns}_Ny={rows}_fov_x_deg={camera.field_x_deg}"
+    rows, columns, _ = camera.control.shape
+    grid = f"order=3_Nx={columns}_Ny={rows}_fov_x_deg={camera.fov_x_deg:g}"
     intrinsics = np.concatenate([camera.focal_px, camera.centre_px, camera.control.ravel()])
     lines = [
         *("# " + " ".join(comment.split()) for comment in comments),
