@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
@@ -18,12 +19,12 @@ class OpenedPage:
     console: list[str]
 
     @property
-    def plots(self):
+    def plots(self) -> int:
         """Number of Plotly figures that were drawn."""
         return self.dom.count('class="plot-container plotly"')
 
 
-def open_page(path, folder):
+def open_page(path: Path, folder: Path) -> OpenedPage:
     """Load a file without network; `folder` takes the browser's profile."""
     command = [
         CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--enable-logging=stderr",

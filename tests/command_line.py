@@ -1,9 +1,14 @@
 """Calling the command line in tests."""
 
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
 from wlr_render.cli import main
 
 
-def refused(arguments, capsys):
+def refused(arguments: Sequence[Any], capsys: pytest.CaptureFixture[str]) -> str:
     """The one line in which a command says no."""
     status = main(arguments)
     printed = capsys.readouterr()

@@ -8,21 +8,35 @@ import re
 # Before numpy is imported, as the command line does: BLAS threads only slow down the thin matrix products here.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import wraps
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
+from _pytest.nodes import Item
+from _pytest.terminal import TerminalReporter
 from flat_image import flat_image_eye
 from gl_caller import Caller
 from memo import memoised, shared_folder
+from numpy.typing import ArrayLike
+from present import present
+from small_photo_session import SmallSession
 
+from wlr_render.calibration.calibrate_session import SessionCalibration
 from wlr_render.draw.mitsuba_frames import PathTracer
 from wlr_render.errors import MissingGlError
 from wlr_render.extras import MissingExtraError
+from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.gl import gl
+from wlr_render.gl.context import GlContext
+from wlr_render.mappings import Eye
+from wlr_render.report.blocks import Report
 from wlr_render.scene.scene import Scene
 from wlr_render.warp import gl_backend, raster_camera
+from wlr_render.warp.choose_grid import ChosenWarpGrid
+from wlr_render.warp.ray_map import RayMapPlan
 
 pytest_plugins = ["small_headsets", "toy_headsets"]
 
@@ -42,7 +56,7 @@ CHEAP = {"opened_gl_context", "bases"}
 """Shared fixtures that take a second or two: the OpenGL context, and the valid files of the corpus."""
 
 
-def pytest_addoption(parser):
+def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--readers", action="store_true", help="fail tests that are skipped although ./wlr readers installs their needs"
     )
@@ -53,19 +67,19 @@ def pytest_addoption(parser):
     )
 
 
-def room_of(item):
+def room_of(item: Item) -> str:
     """The folder of tests/ in which a test is."""
     return item.path.relative_to(Path(__file__).parent).parent.as_posix().split("/")[0]
 
 
-def is_quick(item):
+def is_quick(item: Item) -> bool:
     """Whether a test is not marked slow, and uses no fixture of ours that tests share because it is expensive."""
     definitions = (each[-1] for name, each in item._fixtureinfo.name2fixturedefs.items() if name not in CHEAP)
     shared = any(each.scope in ("module", "session") and each.baseid for each in definitions)
     return not shared and item.get_closest_marker("slow") is None
 
 
-def pytest_collection_modifyitems(config, items):
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not config.getoption("--fast"):
         return
     first = {}
@@ -79,7 +93,7 @@ def pytest_collection_modifyitems(config, items):
     items[:] = [item for item in items if item in chosen]
 
 
-def pytest_terminal_summary(terminalreporter, config):
+def pytest_terminal_summary(terminalreporter: TerminalReporter, config: pytest.Config) -> None:
     reports = [report for kind in ("passed", "failed") for report in terminalreporter.stats.get(kind, ())]
     for report in reports if config.getoption("--fast") else ():
         if report.duration > SLOW_S:
@@ -87,23 +101,27 @@ def pytest_terminal_summary(terminalreporter, config):
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item):
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
     return failed_if_skipped((yield), item.config)
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report(collector):
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
     return failed_if_skipped((yield), collector.config)
 
 
-def failed_if_skipped(report, config):
-    if report.skipped and config.getoption("--readers") and not LEFT_TO_THE_USER.search(reason := report.longrepr[-1]):
+def failed_if_skipped(report: pytest.TestReport, config: pytest.Config) -> pytest.TestReport:
+    if (
+        report.skipped
+        and config.getoption("--readers")
+        and not LEFT_TO_THE_USER.search(reason := present(report.longrepr)[-1])
+    ):
         report.outcome, report.longrepr = "failed", f"{reason}\nNo test may be skipped for this after `./wlr readers`."
     return report
 
 
 @pytest.fixture
-def flat_image_headset():
+def flat_image_headset() -> Eye:
     return flat_image_eye()
 
 
@@ -121,7 +139,7 @@ def measured_data() -> Callable[[str], Path]:
 
 
 @pytest.fixture(scope="session")
-def calibrated_session(tmp_path_factory):
+def calibrated_session(tmp_path_factory: pytest.TempPathFactory) -> tuple[SmallSession, SessionCalibration, Report]:
     """A small session of photographs, simulated, its calibration and the report of it; nobody writes there."""
     from small_photo_session import made_session
 
@@ -130,7 +148,9 @@ def calibrated_session(tmp_path_factory):
 
 
 @pytest.fixture
-def photo_session(calibrated_session, tmp_path, monkeypatch):
+def photo_session(
+    calibrated_session: tuple[SmallSession, SessionCalibration, Report], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> SmallSession:
     """A copy of it to spoil; whatever is simulated or read meanwhile is small and in this process."""
     from small_photo_session import copied, make_small
 
@@ -139,7 +159,7 @@ def photo_session(calibrated_session, tmp_path, monkeypatch):
 
 
 @pytest.fixture(scope="session")
-def mitsuba():
+def mitsuba() -> ModuleType:
     """The library, which few machines have; tests that need it are skipped elsewhere."""
     library = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install '.[mitsuba]'.")
     try:
@@ -150,13 +170,13 @@ def mitsuba():
 
 
 @pytest.fixture(scope="session")
-def opened_gl_context():
+def opened_gl_context() -> Iterator[GlContext]:
     with gl.open_context() as context:
         yield context
 
 
 @pytest.fixture
-def gl_context(request):
+def gl_context(request: pytest.FixtureRequest) -> Iterator[GlContext]:
     """The one OpenGL context of the test run, checked for errors before and after."""
     try:
         context = request.getfixturevalue("opened_gl_context")
@@ -179,11 +199,11 @@ CHOICES = (
 _CHOSEN = {}
 
 
-def remembered(function):
+def remembered(function: Callable[..., Any]) -> Callable[..., ChosenWarpGrid | RayMapPlan | float]:
     """Return the function with its answers kept for models that are equal, whoever made them."""
 
     @wraps(function)
-    def with_memory(*given):
+    def with_memory(*given: ArrayLike | Eye | Pinhole) -> ChosenWarpGrid | RayMapPlan | float:
         key = function.__name__, pickle.dumps(given)
         if key not in _CHOSEN:
             _CHOSEN[key] = function(*given)
@@ -193,14 +213,14 @@ def remembered(function):
 
 
 @pytest.fixture
-def choices_made_once(monkeypatch):
+def choices_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Choose for each model once in a run; tests/warps hold the choices to their laws."""
     for module, name in CHOICES:
         monkeypatch.setattr(module, name, remembered(getattr(module, name)))
 
 
 @pytest.fixture
-def caller(gl_context):
+def caller(gl_context: GlContext) -> Iterator[Caller]:
     """Another program's context, by EGL; `gl_context` skips the test where there is no OpenGL."""
     if gl_context.backend != "egl":
         pytest.skip("EGL does not open here, so that there is no other context to adopt.")
@@ -210,12 +230,12 @@ def caller(gl_context):
 
 
 @pytest.fixture
-def file_size_limit():
+def file_size_limit() -> Callable[[int], Iterator[None]]:
     """A context manager in which no file can grow beyond so many bytes: a full disk, as the system can imitate one."""
     resource = pytest.importorskip("resource")
 
     @contextlib.contextmanager
-    def limited(size):
+    def limited(size: int) -> Iterator[None]:
         before = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
         try:

@@ -6,9 +6,10 @@ import numpy as np
 
 from wlr_render.geometry import directions, rays
 from wlr_render.mappings import Eye, EyeBox, Panel, QueryResult, Status
+from wlr_render.numerics.arrays import FloatArray
 
 
-def mapped(value):
+def mapped(value: FloatArray) -> QueryResult:
     status = np.where(np.isfinite(value).all(axis=-1), Status.OK, Status.MISS)
     return QueryResult(value, status.astype(np.uint8))
 
@@ -20,12 +21,12 @@ class FlatImage:
     panel: Panel
     distance_m: float = 2.0
 
-    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
         xy = (np.asarray(pixel) / self.panel.size_px - 0.5) * [1.4, -1.0]
         point = np.concatenate([xy, np.full((*xy.shape[:-1], 1), -self.distance_m)], axis=-1)
         return mapped(directions.normalised(point - viewpoint))
 
-    def pixel_of_view_dir(self, view_dir, viewpoint, warm_start=None):
+    def pixel_of_view_dir(self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
         depth = np.asarray(viewpoint)[..., 2:] + self.distance_m
         xy = np.asarray(viewpoint)[..., :2] + depth * directions.tangents_of_dir(np.asarray(view_dir))
         return mapped((xy / [1.4, -1.0] + 0.5) * self.panel.size_px)
@@ -39,20 +40,24 @@ class PrismPlate:
     prism: float = 0.003
     z_m: float = -0.02
 
-    def real_ray_of_view_dir(self, view_dir, viewpoint, warm_start=None):
+    def real_ray_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: object = None
+    ) -> QueryResult:
         tangents = directions.tangents_of_dir(np.asarray(view_dir))
         lateral = viewpoint[..., :2] + (viewpoint[..., 2:] - self.z_m + self.offset_m) * tangents
         origin = np.concatenate([lateral, np.full((*lateral.shape[:-1], 1), self.z_m)], axis=-1)
         return mapped(rays.pack(origin, directions.dir_of_tangents(tangents + [self.prism, 0.0])))
 
-    def view_dir_of_real_point(self, point, viewpoint, warm_start=None):
+    def view_dir_of_real_point(
+        self, point: FloatArray, viewpoint: FloatArray, warm_start: object = None
+    ) -> QueryResult:
         point, viewpoint = np.asarray(point), np.asarray(viewpoint)
         bent = (self.z_m - point[..., 2:]) * [self.prism, 0.0]
         depth = viewpoint[..., 2:] - point[..., 2:] + self.offset_m
         return mapped(directions.dir_of_tangents((point[..., :2] - viewpoint[..., :2] - bent) / depth))
 
 
-def flat_image_eye():
+def flat_image_eye() -> Eye:
     """Return a right eye behind a prism plate."""
     box = EyeBox(np.array([0.001, -0.002, 0.01]), np.array([0.010, 0.008, 0.006]))
     return Eye("flat image", "right", FlatImage(Panel(140, 100)), PrismPlate(), box)

@@ -5,6 +5,8 @@ import os
 import subprocess
 import sys
 import textwrap
+from collections.abc import Mapping, Sequence
+from ctypes import c_double, c_int, c_uint, c_void_p
 from pathlib import Path
 
 import moderngl
@@ -32,7 +34,7 @@ READ_PER_BUFFER = {"colour mask": 0x0C23, "blend": 0x0BE2} | {f"blend {e:#x}": e
 class Caller:
     """A program with a ModernGL context of its own, and everything in it set to odd values."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.ctx = moderngl.create_context(standalone=True, require=430, backend="egl")
         self.mesh = self.ctx.vertex_array(
             self.ctx.program(
@@ -40,8 +42,8 @@ class Caller:
                 fragment_shader="#version 430\nlayout(location = 0) out vec4 a; layout(location = 1) out vec4 b;"
                 "uniform sampler2D t; void main() { a = texture(t, gl_FragCoord.xy / 9.0); b = vec4(0.5, 1, 0, 0.5); }",
             ),
-            [(self.ctx.buffer(np.float32([-1, -1, 3, -1, -1, 3])), "2f4", "at")],
-            self.ctx.buffer(np.int32([0, 1, 2])),
+            [(self.ctx.buffer(np.array([-1, -1, 3, -1, -1, 3], np.float32)), "2f4", "at")],
+            self.ctx.buffer(np.array([0, 1, 2], np.int32)),
         )
         self.textures = [self.ctx.texture((2, 2), 4, bytes(range(k, k + 16))) for k in range(12)]
         self.samplers = [self.ctx.sampler(repeat_x=False) for _ in range(12)]
@@ -53,12 +55,14 @@ class Caller:
         self.gl("glBindVertexArray", 0)
         self.gl("glBindBuffer", 0x8892, 0)
 
-    def gl(self, name, *arguments, types=None):
+    def gl(
+        self, name: str, *arguments: float, types: Sequence[type[c_double | c_int | c_uint | c_void_p]] | None = None
+    ) -> int:
         address = self.ctx.mglo._context.load(name)
         types = types or [ctypes.c_float if isinstance(a, float) else ctypes.c_uint for a in arguments]
-        return ctypes.CFUNCTYPE(ctypes.c_ubyte, *types)(address)(*arguments)
+        return int(ctypes.CFUNCTYPE(ctypes.c_ubyte, *types)(address)(*arguments))
 
-    def set_odd_values(self):
+    def set_odd_values(self) -> None:
         self.framebuffer.use()
         self.framebuffer.viewport, self.framebuffer.scissor = (1, 2, 5, 3), (2, 1, 4, 5)
         self.framebuffer.color_mask = (True, False, True, True), (False, True, True, False)
@@ -95,7 +99,7 @@ class Caller:
             sampler.use(unit)
         self.gl("glActiveTexture", 0x84C0 + 8)
 
-    def state(self):
+    def state(self) -> dict[str, list[float]]:
         state = {name: self._get("glGetDoublev", [enum]) for name, enum in READ.items()}
         state |= {f"switch {enum:#x}": self.gl("glIsEnabled", enum) for enum in ODD_SWITCHES + SWITCHED_OFF}
         for name, enum in READ_PER_BUFFER.items():
@@ -113,27 +117,27 @@ class Caller:
         state["error"] = self.ctx.error
         return state
 
-    def _get(self, getter, enums, kind=ctypes.c_double):
+    def _get(self, getter: str, enums: Sequence[int], kind: type[c_double | c_int] = ctypes.c_double) -> list[float]:
         numbers = (kind * 4)()
         self.gl(getter, *enums, ctypes.addressof(numbers), types=[*[ctypes.c_uint] * len(enums), ctypes.c_void_p])
         return list(numbers)
 
-    def objects(self):
+    def objects(self) -> list[set[int]]:
         """The numbers of the objects that live, of each kind."""
         kinds = "Texture", "Framebuffer", "Program", "Buffer", "VertexArray"
         return [{number for number in range(2000) if self.gl(f"glIs{kind}", number)} for kind in kinds]
 
-    def draw(self):
+    def draw(self) -> list[bytes]:
         """Its own picture over the last, with the state, bindings and framebuffer that it finds."""
         self.mesh.render()
         return [attachment.read() for attachment in self.framebuffer.color_attachments]
 
 
-def assert_same(after, before):
+def assert_same(after: Mapping[str, list[float]], before: Mapping[str, list[float]]) -> None:
     assert {name: value for name, value in after.items() if value != before[name]} == {}
 
 
-def run(script, **environment):
+def run(script: str, **environment: str) -> str:
     """What a script prints that runs as a program of its own."""
     tests = str(Path(__file__).parent)
     done = subprocess.run(

@@ -1,5 +1,8 @@
 """A scene as a GLB file, written by trimesh; colours go to 0..1 in 8 bits."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import trimesh
 from PIL import Image
@@ -7,10 +10,12 @@ from PIL import Image
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
 from wlr_render.io.atomic_files import write_bytes
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.scene.gltf_document import LIGHTS as EXTENSION
+from wlr_render.scene.scene import LightSource, Mesh, Scene
 
 
-def save_glb(scene, path):
+def save_glb(scene: Scene, path: Path) -> Path:
     """Write meshes, instances and lights; ambient light and background have no place in glTF."""
     target = trimesh.Scene()
     keys = [f"{index} {mesh.name}" for index, mesh in enumerate(scene.meshes)]
@@ -27,7 +32,7 @@ def save_glb(scene, path):
     return write_bytes(path, target.export(file_type="glb", include_normals=True))
 
 
-def _trimesh_of(mesh):
+def _trimesh_of(mesh: Mesh) -> trimesh.Trimesh:
     material = trimesh.visual.material.PBRMaterial(
         baseColorFactor=[*np.clip(mesh.base_colour, 0, 1).tolist(), 1.0],
         baseColorTexture=None if mesh.texture is None else Image.fromarray(mesh.texture),
@@ -43,13 +48,13 @@ def _trimesh_of(mesh):
     return trimesh.Trimesh(mesh.position, mesh.triangles, vertex_normals=mesh.normal, visual=visual, process=False)
 
 
-def _stated(light):
+def _stated(light: LightSource) -> dict[str, Any]:
     """Colours are 0..1 in glTF; what is beyond goes into the intensity."""
     peak = max(float(light.colour.max()), 1e-9)
     return {"type": light.kind, "color": (light.colour / peak).tolist(), "intensity": peak * np.pi}
 
 
-def _world_from_light(light):
+def _world_from_light(light: LightSource) -> FloatArray:
     """(4, 4) of a node that carries the light."""
     if light.kind == "point":
         return transforms.rigid(np.eye(3), light.vector)

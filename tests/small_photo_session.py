@@ -7,22 +7,31 @@ in place and pixel, exactly.
 import os
 import shutil
 import tomllib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from wlr_render.calibration.calibrate_session import SessionCalibration
 from wlr_render.captures import session_reading
+from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.photographs import read_photograph, write_photograph
+from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import resource
 from wlr_render.io.toml_files import write_toml
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions
 from wlr_render.jobs.calibrate.photos import READ, calibrated, report_of
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import Device, EyeOptics
+from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 from wlr_render.simulation.photographs import recipe, simulate_photo_session, take_photographs
+from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import (
@@ -30,8 +39,13 @@ from wlr_render.simulation.photographs.photo_bench import (
     PhotoBenchOptions,
     design_photo_bench,
 )
-from wlr_render.simulation.photographs.photo_plan import plan_photographs
+from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.simulation.photographs.take_photographs import CameraPose
+from wlr_render.work.workers import WorkerPool
+
+if TYPE_CHECKING:
+    from benchmarks.test_kept_trials import NamedTrial
 
 VIEWPOINTS = 4
 CAMERA_PX = (400, 320)
@@ -43,12 +57,17 @@ IMPERFECTIONS = replace(BenchImperfections(), extrinsics_mm=0.02, extrinsics_deg
 for the lens: near dots are a twelfth of these small pictures, and rational terms bend the dots themselves."""
 
 
-def in_this_process(run, tasks, spread, folder=None):
+def in_this_process(
+    run: Callable[..., Any],
+    tasks: "Sequence[CameraPose | NamedTrial | Sequence[Any]]",
+    spread: WorkerPool,
+    folder: object = None,
+) -> Iterator[Any]:
     """As `workers.as_finished`, without the seconds that starting processes takes."""
     return map(run, tasks)
 
 
-def small_bench(device, eye, options):
+def small_bench(device: Device, eye: str, options: PhotoBenchOptions) -> PhotoBench:
     """The usual bench with a smaller tracking camera, which is what takes longest."""
     bench = design_photo_bench(device, eye, options)
     camera = bench.tracking.camera
@@ -57,7 +76,7 @@ def small_bench(device, eye, options):
     return replace(bench, tracking=replace(bench.tracking, camera=smaller))
 
 
-def small_plan(bench, viewpoints):
+def small_plan(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
     """The usual plan with six photographs of each lens, and three levels of each axis without the headset."""
     plan = plan_photographs(bench, viewpoints)
     return replace(
@@ -72,15 +91,15 @@ class CoarseView(CameraView):
     """The usual view, of fewer samples in each pixel."""
 
     @classmethod
-    def without_headset(cls, lens, frame_from_camera):
+    def without_headset(cls, lens: SimulatedLens, frame_from_camera: FloatArray) -> CameraView:
         return CameraView.without_headset(lens, frame_from_camera, SAMPLES)
 
     @classmethod
-    def through_optics(cls, optics, lens, frame_from_camera):
+    def through_optics(cls, optics: EyeOptics, lens: SimulatedLens, frame_from_camera: FloatArray) -> CameraView:
         return CameraView.through_optics(optics, lens, frame_from_camera, SAMPLES)
 
 
-def make_small(patch):
+def make_small(patch: pytest.MonkeyPatch) -> None:
     """Have everything about simulated sessions small, by a `pytest.MonkeyPatch`."""
     patch.setattr(take_photographs, "CameraView", CoarseView)
     patch.setattr(recipe, "design_photo_bench", small_bench)
@@ -89,7 +108,7 @@ def make_small(patch):
         patch.setattr(module, "as_finished", in_this_process)
 
 
-def far_panel_device(folder):
+def far_panel_device(folder: Path) -> str:
     """Path of tilted_plate with its panel half a metre away and 320 x 180 pixels."""
     text = resource("devices", "tilted_plate.toml").read_text(encoding="utf-8")
     for old, new in (
@@ -118,17 +137,17 @@ class SmallSession:
         return small_bench_of(self.recipe)
 
     @property
-    def options(self):
+    def options(self) -> CalibrateOptions:
         return CalibrateOptions(str(self.folder), out=self.out)
 
-    def read(self):
+    def read(self) -> Reading:
         """What calibration reads first."""
         return session_reading.read_session(load_photo_session(self.folder), self.out / READ)
 
-    def calibrate(self):
+    def calibrate(self) -> SessionCalibration:
         return calibrated(self.options)
 
-    def refusal(self):
+    def refusal(self) -> str:
         """The one sentence in which calibration says no."""
         with pytest.raises(BadInputError) as caught:
             self.calibrate()
@@ -136,7 +155,7 @@ class SmallSession:
         assert "\n" not in sentence
         return sentence
 
-    def edit(self, change):
+    def edit(self, change: Callable[..., Any]) -> None:
         """Let `change` alter what session.toml says, a dictionary."""
         path = self.folder / "session.toml"
         content = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -144,20 +163,20 @@ class SmallSession:
         path.unlink()
         write_toml(path, content)
 
-    def repaint(self, name, paint):
+    def repaint(self, name, paint) -> None:
         """Replace a photograph by `paint` of it."""
         path = self.folder / name
         image = paint(read_photograph(path))
         path.unlink()
         write_photograph(path, image)
 
-    def cut_short(self, name):
+    def cut_short(self, name) -> None:
         path = self.folder / name
         content = path.read_bytes()
         path.unlink()
         path.write_bytes(content[: len(content) // 3])
 
-    def swap(self, first, second):
+    def swap(self, first, second) -> None:
         """Exchange two photographs."""
         one, other, aside = self.folder / first, self.folder / second, self.folder / "aside"
         one.rename(aside)
@@ -165,7 +184,7 @@ class SmallSession:
         aside.rename(other)
 
 
-def small_bench_of(made):
+def small_bench_of(made: SimulationRecipe) -> PhotoBench:
     with pytest.MonkeyPatch.context() as patch:
         make_small(patch)
         return made.build()
@@ -174,13 +193,13 @@ def small_bench_of(made):
 CAMERAS = ("eyeball_camera", "tracking_camera")
 
 
-def state_lenses(content):
+def state_lenses(content: dict[str, Any]) -> None:
     """Choosing the kind of lens takes longer than the rest of a calibration."""
     for name in CAMERAS:
         content[name]["lens"] = IMPERFECTIONS.lens
 
 
-def with_stated_lenses(session):
+def with_stated_lenses(session: PhotoSession) -> PhotoSession:
     """Return a session of the usual bench with the kind of its lenses stated, and six photographs of each."""
     cameras = {name: getattr(session, name) for name in CAMERAS}
     stated = {
@@ -190,7 +209,7 @@ def with_stated_lenses(session):
     return replace(session, **stated)
 
 
-def made_session(folder, family="polynomial"):
+def made_session(folder: Path, family: str = "polynomial") -> tuple[SmallSession, SessionCalibration, Report]:
     """Simulate the session, calibrate it and write the report; returns all three."""
     folder.mkdir()
     bench = PhotoBenchOptions(camera_px=CAMERA_PX, imperfections=IMPERFECTIONS, family=family)
@@ -204,7 +223,7 @@ def made_session(folder, family="polynomial"):
         return session, found, save_report(report_of(found, session.options), session.out)
 
 
-def copied(session, folder):
+def copied(session: SmallSession, folder: Path) -> SmallSession:
     """Its copy, with what was read already: linked, since no test writes into a photograph that is there."""
     for source, name in ((session.folder, "session"), (session.out, "out")):
         shutil.copytree(source, folder / name, copy_function=os.link)

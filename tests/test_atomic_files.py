@@ -5,11 +5,14 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from present import present
 
 from wlr_render.captures.boards.board_drawing import write_board_svg
 from wlr_render.captures.boards.chessboard import Chessboard
@@ -18,6 +21,7 @@ from wlr_render.captures.session_schema import DISPLAY
 from wlr_render.captures.session_tables import write_table
 from wlr_render.errors import BadInputError
 from wlr_render.io import atomic_files, toml_files
+from wlr_render.io.toml_files import Table
 from wlr_render.report.blocks import Report
 from wlr_render.report.html import html_page
 from wlr_render.report.plots import curves
@@ -26,17 +30,17 @@ from wlr_render.report.records import json_text
 from wlr_render.scene import image_files
 
 
-def table(tmp_path, text):
+def table(tmp_path: Path, text: str) -> Table:
     path = tmp_path / "thing.toml"
     path.write_text(text)
     return toml_files.read_toml(path)
 
 
-def test_output_appears_whole_or_not_at_all(tmp_path):
+def test_output_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     target = tmp_path / "deep" / "result.txt"
     atomic_files.write_text(target, "old")
 
-    def fail_half_way():
+    def fail_half_way() -> None:
         with atomic_files.written_whole(target) as temporary:
             temporary.write_text("half")
             raise RuntimeError
@@ -47,13 +51,13 @@ def test_output_appears_whole_or_not_at_all(tmp_path):
     assert [p.name for p in target.parent.iterdir()] == ["result.txt"]
 
 
-def test_an_output_folder_that_is_a_file_is_refused_by_name(tmp_path):
+def test_an_output_folder_that_is_a_file_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     with pytest.raises(BadInputError, match=r"taken.*choose another"):
         atomic_files.output_folder(tmp_path / "taken")
 
 
-def test_unknown_name_lists_what_is_shipped(tmp_path):
+def test_unknown_name_lists_what_is_shipped(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"neither a file nor one of the shipped devices"):
         atomic_files.named_or_path("devices", "northstart")
     for name in ("none.toml", "a\0.toml", 300 * "a" + ".toml"):
@@ -66,7 +70,9 @@ def test_unknown_name_lists_what_is_shipped(tmp_path):
         atomic_files.named_or_path("devices", tmp_path)
 
 
-def test_a_file_of_the_current_folder_is_found_whatever_its_suffix(tmp_path, monkeypatch):
+def test_a_file_of_the_current_folder_is_found_whatever_its_suffix(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine").write_text("")
     assert atomic_files.named_or_path("devices", "mine") == Path("mine")
@@ -94,7 +100,7 @@ def test_a_file_of_the_current_folder_is_found_whatever_its_suffix(tmp_path, mon
         ("a_mm = 1\n'\\u001b[2K' = 2", r"unknown key '\\\\u001b\[2K'"),
     ],
 )
-def test_each_fault_in_a_toml_file_gets_one_sentence(tmp_path, text, sentence):
+def test_each_fault_in_a_toml_file_gets_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
     with pytest.raises(BadInputError, match=sentence):
         read_a(tmp_path, text)
 
@@ -113,20 +119,20 @@ def test_each_fault_in_a_toml_file_gets_one_sentence(tmp_path, text, sentence):
         (b'\xef\xbb\xbf{"a": 1', "cannot be read as a thing"),
     ],
 )
-def test_each_fault_in_a_json_file_gets_one_sentence(tmp_path, content, sentence):
+def test_each_fault_in_a_json_file_gets_one_sentence(tmp_path: Path, content: bytes | str, sentence: str) -> None:
     path = tmp_path / "thing.json"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(BadInputError, match=rf"^{re.escape(str(path))}: .*{sentence}"):
         toml_files.read_json(path, "a thing").number("a")
 
 
-def read_a(tmp_path, text):
+def read_a(tmp_path: Path, text: str) -> None:
     content = table(tmp_path, text)
     assert content.number("a_mm") == 1
     content.finish()
 
 
-def test_readers_of_every_kind(tmp_path):
+def test_readers_of_every_kind(tmp_path: Path) -> None:
     content = table(tmp_path, 'v = [1, 2]\nt = "x"\nf = true\n[s]\nk = 1\n[[r]]\nk = 2\n[[r]]\nk = 3')
     assert content.vector("v", 2).tolist() == [1, 2]
     assert content.text("t", choices=["x"]) == "x"
@@ -142,7 +148,7 @@ def test_readers_of_every_kind(tmp_path):
         content.tables("r")[1].number("q")
 
 
-def test_written_toml_is_read_back_to_the_last_bit(tmp_path):
+def test_written_toml_is_read_back_to_the_last_bit(tmp_path: Path) -> None:
     """Values of every kind, headers in headers, and plain values given after tables."""
     content = {
         "inner": {"deep": {"k": 1}, "after": 0.1},
@@ -162,7 +168,7 @@ def test_written_toml_is_read_back_to_the_last_bit(tmp_path):
     assert math.copysign(1, back["floats"][1]) == -1
 
 
-def test_written_vectors_are_on_one_line_each(tmp_path):
+def test_written_vectors_are_on_one_line_each(tmp_path: Path) -> None:
     content = {"v": [1.0, -2.5e-7, 3], "rows": [[1.0, 2.0], [3.0, 4.0]], "table": [{"at": [0.5, 1.0], "on": True}]}
     assert toml_files.write_toml(tmp_path / "thing.toml", content).read_text().splitlines() == [
         "v = [1.0, -2.5e-07, 3]",
@@ -177,14 +183,16 @@ def test_written_vectors_are_on_one_line_each(tmp_path):
     ]
 
 
-def test_arrays_and_their_numbers_are_written_as_plain_ones(tmp_path):
+def test_arrays_and_their_numbers_are_written_as_plain_ones(tmp_path: Path) -> None:
     content = {"v": np.array([[0.1, 2.0]]), "n": np.int64(3), "x": np.float64(0.3), "b": np.bool_(True)}
     back = tomllib.loads(toml_files.write_toml(tmp_path / "thing.toml", content).read_text())
     assert back == {"v": [[0.1, 2.0]], "n": 3, "x": 0.3, "b": True}
 
 
 @pytest.mark.parametrize("value", [math.nan, np.inf, None, [1.0, np.nan], [{"a": 1}, 2]])
-def test_what_toml_cannot_hold_is_refused_and_no_file_appears(tmp_path, value):
+def test_what_toml_cannot_hold_is_refused_and_no_file_appears(
+    tmp_path: Path, value: Sequence[dict[str, int] | float] | float | None
+) -> None:
     with pytest.raises(ValueError, match=r"'outer\.key' cannot be written as TOML"):
         toml_files.write_toml(tmp_path / "thing.toml", {"outer": {"key": value}})
     assert not list(tmp_path.iterdir())
@@ -197,7 +205,7 @@ _COLUMNS = {column.name: np.arange(2000.0) for column in DISPLAY.columns}
 _NOISE = np.random.default_rng(0).integers(0, 256, (90, 120, 3), np.uint8)
 
 
-def _figure():
+def _figure() -> Figure:
     figure = Figure()
     figure.subplots().imshow(_NOISE)
     return figure
@@ -222,7 +230,9 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_on_a_full_disk_no_output_appears_and_the_old_one_stays(tmp_path, file_size_limit, name):
+def test_on_a_full_disk_no_output_appears_and_the_old_one_stays(
+    tmp_path: Path, file_size_limit: Callable[[int], Iterator[None]], name: str
+) -> None:
     target = tmp_path / name
     target.write_text("old")
     full = pytest.raises(BadInputError, match=rf"{name}: .*free space.* or choose another folder")
@@ -232,14 +242,16 @@ def test_on_a_full_disk_no_output_appears_and_the_old_one_stays(tmp_path, file_s
     assert target.read_text() == "old"
 
 
-def test_outputs_have_the_permissions_that_the_umask_gives_and_leave_the_umask_alone(tmp_path, monkeypatch):
+def test_outputs_have_the_permissions_that_the_umask_gives_and_leave_the_umask_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plain = tmp_path / "plain"
     plain.write_text("")
     monkeypatch.setattr(os, "umask", lambda mask: pytest.fail("another thread's files would get this umask"))
     assert atomic_files.write_text(tmp_path / "ours", "").stat().st_mode == plain.stat().st_mode
 
 
-def test_on_a_disk_of_any_size_an_output_is_whole_or_the_old_one_stays(tmp_path):
+def test_on_a_disk_of_any_size_an_output_is_whole_or_the_old_one_stays(tmp_path: Path) -> None:
     """A disk in memory, which this process cannot mount, but one in a namespace of its own can."""
     script = Path(__file__).with_name("full_disk.py")
     run = ["unshare", "--map-root-user", "--mount"]
@@ -264,17 +276,17 @@ with atomic_files.locked_folder(sys.argv[1], "a killed run"), atomic_files.writt
 
 
 @pytest.fixture
-def other_run(tmp_path):
+def other_run(tmp_path: Path) -> Iterator[Any]:
     """A process that is writing a file into a folder that it has locked."""
     pytest.importorskip("fcntl")
     run = subprocess.Popen([sys.executable, "-c", ABANDONED, tmp_path], stdout=subprocess.PIPE, text=True)
-    assert run.stdout.readline() == "ready\n"
+    assert present(run.stdout).readline() == "ready\n"
     yield run
     run.kill()
     run.communicate()
 
 
-def test_a_second_run_is_refused_at_once_and_takes_over_from_a_killed_one(tmp_path, other_run):
+def test_a_second_run_is_refused_at_once_and_takes_over_from_a_killed_one(tmp_path: Path, other_run: Any) -> None:
     folder = tmp_path
     with pytest.raises(BadInputError, match=rf"a killed run \(process {other_run.pid}\) is writing"):
         atomic_files.locked_folder(folder, "ours").__enter__()
@@ -290,7 +302,7 @@ def test_a_second_run_is_refused_at_once_and_takes_over_from_a_killed_one(tmp_pa
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="makes pipes")
-def test_a_lock_that_is_a_link_or_a_pipe_changes_no_other_file_and_is_not_waited_for(tmp_path):
+def test_a_lock_that_is_a_link_or_a_pipe_changes_no_other_file_and_is_not_waited_for(tmp_path: Path) -> None:
     folder, victim = tmp_path / "out", tmp_path / "victim"
     folder.mkdir()
     victim.write_text("mine")
@@ -305,7 +317,7 @@ def test_a_lock_that_is_a_link_or_a_pipe_changes_no_other_file_and_is_not_waited
         pass
 
 
-def test_a_folder_that_a_refused_run_made_is_removed(tmp_path):
+def test_a_folder_that_a_refused_run_made_is_removed(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError), atomic_files.locked_folder(tmp_path / "deep" / "out", "ours"):
         raise RuntimeError
     assert not list(tmp_path.iterdir())

@@ -10,20 +10,22 @@ import shutil
 import subprocess
 import sys
 import typing
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any, NoReturn
 
 import pytest
 from command_line import refused
 from cyclopts import Parameter, UnknownOptionError
 
 from wlr_render import __version__
-from wlr_render.cli import RENAMED, VERBS, main, make_app
+from wlr_render.cli import RENAMED, VERBS, Verb, main, make_app
 from wlr_render.errors import MissingGlError
 from wlr_render.gl import gl
 from wlr_render.io.atomic_files import resource
 from wlr_render.jobs.demo import DemoOptions
 from wlr_render.jobs.options import Range, flag_of
-from wlr_render.jobs.render import RenderOptions
+from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.report.terminal import print_report
 
@@ -35,7 +37,7 @@ HEAVY = (
 )
 
 
-def device(folder, *changes):
+def device(folder: Path, *changes: object) -> str:
     """A device without optics, 48 x 27 pixels, with some more text replaced: (old, new) pairs."""
     text = resource("devices", "no_optics.toml").read_text(encoding="utf-8")
     for old, new in (("[1280, 720]", "[48, 27]"), *changes):
@@ -46,11 +48,11 @@ def device(folder, *changes):
     return str(path)
 
 
-def run_python(*arguments):
+def run_python(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, timeout=60)
 
 
-def printed_by(arguments, capsys):
+def printed_by(arguments: Sequence[Any], capsys: pytest.CaptureFixture[str]) -> str:
     """What a command that succeeds prints, with single spaces."""
     assert main(arguments) == 0
     printed = capsys.readouterr()
@@ -62,21 +64,21 @@ def printed_by(arguments, capsys):
 
 
 @pytest.mark.parametrize("then", ["make_app()", "main(['--help'])", "main(['--version'])", "main(['nonsense'])"])
-def test_starting_loads_nothing_heavy(then):
+def test_starting_loads_nothing_heavy(then: str) -> None:
     code = f"import sys; from wlr_render.cli import main, make_app; {then}"
     result = run_python("-c", f"{code}; print(*('loaded: ' + n for n in {HEAVY} if n in sys.modules))")
     assert result.returncode == 0, result.stderr
     assert "loaded" not in result.stdout
 
 
-def test_the_package_runs_as_a_module_and_states_its_version():
+def test_the_package_runs_as_a_module_and_states_its_version() -> None:
     for module in ("wlr_render", "wlr_render.cli"):
         result = run_python("-m", module, "--version")
         assert (result.returncode, result.stdout, result.stderr) == (0, f"{__version__}\n", "")
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["-h"], []], ids=str)
-def test_help_lists_the_verbs_in_their_groups(arguments, capsys):
+def test_help_lists_the_verbs_in_their_groups(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> None:
     text = printed_by(arguments, capsys)
     places = [text.index(f"─ {group} ─") for group in dict.fromkeys(verb.group for verb in VERBS)]
     assert places == sorted(places)
@@ -85,19 +87,19 @@ def test_help_lists_the_verbs_in_their_groups(arguments, capsys):
     assert "--install-completion" in text
 
 
-def test_completion_knows_the_verbs_and_their_options():
+def test_completion_knows_the_verbs_and_their_options() -> None:
     script = make_app().generate_completion(shell="bash")
     assert all(word in script for word in ("render", "--supersample", "raytrace"))
 
 
-def options_of(verb):
+def options_of(verb: Verb):
     """The dataclass of a verb's options."""
     module, function = verb.function.split(":")
     job = getattr(importlib.import_module(f"wlr_render.jobs.{module}"), function)
     return typing.get_type_hints(inspect.unwrap(job))["options"]
 
 
-def fields_of(options):
+def fields_of(options) -> Iterator[Any]:
     """Fields with their notes, those of options within options among them: (options, field, type, notes)."""
     hints = typing.get_type_hints(options, include_extras=True)
     for field in dataclasses.fields(options):
@@ -108,7 +110,9 @@ def fields_of(options):
 
 
 @every_verb
-def test_every_verb_explains_itself(verb, capsys, monkeypatch):
+def test_every_verb_explains_itself(
+    verb: Verb, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "400")
     text = printed_by([*verb.words.split(), "--help"], capsys)
     assert text.startswith(f"Usage: wlr-render {verb.words} ")
@@ -117,6 +121,7 @@ def test_every_verb_explains_itself(verb, capsys, monkeypatch):
     assert "default: False" not in text
     for _, field, _, notes in fields_of(options_of(verb)):
         (described,) = (note for note in notes if isinstance(note, Parameter))
+        assert described.help is not None
         assert described.help[0].isupper(), field.name
         assert described.help.endswith("."), field.name
         assert described.help in text, field.name
@@ -124,13 +129,15 @@ def test_every_verb_explains_itself(verb, capsys, monkeypatch):
 
 
 @every_verb
-def test_the_help_of_every_verb_fits_on_two_screens(verb, capsys, monkeypatch):
+def test_the_help_of_every_verb_fits_on_two_screens(
+    verb: Verb, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     assert main([*verb.words.split(), "--help"]) == 0
     assert len(capsys.readouterr().out.splitlines()) <= 100
 
 
-def test_no_two_verbs_replace_each_others_reports_by_default():
+def test_no_two_verbs_replace_each_others_reports_by_default() -> None:
     out = {
         verb.words: field.default
         for verb in VERBS
@@ -155,7 +162,7 @@ STAND_IN = '#!/bin/sh\nprintf "%s" "$(basename "$0")"; printf " [%s]" "$@"; echo
     ],
     ids=str,
 )
-def test_the_script_beside_the_package_runs_the_verbs(arguments, called, tmp_path):
+def test_the_script_beside_the_package_runs_the_verbs(arguments: Sequence[str], called: str, tmp_path: Path) -> None:
     """With stand-ins for the program and for what is installed already."""
     bin_folder = tmp_path / ".venv" / "bin"
     bin_folder.mkdir(parents=True)
@@ -179,7 +186,9 @@ def test_the_script_beside_the_package_runs_the_verbs(arguments, called, tmp_pat
 
 
 @every_verb
-def test_every_verb_refuses_an_option_that_it_does_not_have(verb, tmp_path, monkeypatch, capsys):
+def test_every_verb_refuses_an_option_that_it_does_not_have(
+    verb: Verb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     needed = {
         "pattern": ["--panel", "64x48"],
@@ -192,7 +201,9 @@ def test_every_verb_refuses_an_option_that_it_does_not_have(verb, tmp_path, monk
 
 
 @every_verb
-def test_every_verb_refuses_values_that_are_no_choice_or_out_of_range(verb, tmp_path, monkeypatch, capsys):
+def test_every_verb_refuses_values_that_are_no_choice_or_out_of_range(
+    verb: Verb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     fields = list(fields_of(options_of(verb)))
     good, named = {}, {}
@@ -222,19 +233,21 @@ def test_every_verb_refuses_values_that_are_no_choice_or_out_of_range(verb, tmp_
 
 
 @pytest.mark.parametrize("arguments", [["rendr"], ["--nonsense"]], ids=str)
-def test_an_unknown_verb_is_refused(arguments, capsys):
+def test_an_unknown_verb_is_refused(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> None:
     sentence = refused(arguments, capsys)
     assert f'Unknown command "{arguments[-1]}".' in sentence
     assert ('Did you mean "render"?' in sentence) == (arguments == ["rendr"])
 
 
 @pytest.mark.parametrize(("old", "new"), RENAMED.items(), ids=str)
-def test_an_old_name_of_a_verb_is_answered_with_the_new_one(old, new, capsys):
+def test_an_old_name_of_a_verb_is_answered_with_the_new_one(
+    old: str, new: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     program = "./wlr" if new.startswith("bench ") else "wlr-render"
     assert f"'{old}' has another name now: {program} {new}" in refused([*old.split(), "something"], capsys)
 
 
-def test_an_argument_too_many_is_refused(capsys):
+def test_an_argument_too_many_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert refused(["trace", "northstar", "desk"], capsys) == (
         "wlr-render: Unexpected argument 'desk'; add --help for the arguments of this verb."
     )
@@ -249,23 +262,27 @@ def test_an_argument_too_many_is_refused(capsys):
         (["calibrate"], "calibrate needs PATH"),
     ],
 )
-def test_a_missing_argument_is_called_missing(arguments, needs, capsys):
+def test_a_missing_argument_is_called_missing(
+    arguments: Sequence[str], needs: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert refused(arguments, capsys) == f"wlr-render: {needs}; add --help for the arguments of this verb."
 
 
-def test_an_option_without_its_value_is_named(capsys):
+def test_an_option_without_its_value_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert refused(["trace", "northstar", "--out"], capsys).endswith("--out requires an argument.")
 
 
 @pytest.mark.parametrize("argument", [["--out", ""], ["--out="], ["--out= "]], ids=str)
-def test_an_empty_value_is_refused(argument, tmp_path, monkeypatch, capsys):
+def test_an_empty_value_is_refused(
+    argument: Sequence[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     sentence = refused(["trace", "northstar", *argument], capsys)
     assert sentence == "wlr-render: --out is empty; give it a value, or leave it out."
     assert not list(tmp_path.iterdir())
 
 
-def empty_mesh(folder):
+def empty_mesh(folder) -> str:
     path = folder / "empty.ply"
     header = ("ply", "format ascii 1.0", "element vertex 0", "property float x", "property float y", "property float z")
     faces = ("element face 0", "property list uchar int vertex_indices", "end_header")
@@ -273,7 +290,7 @@ def empty_mesh(folder):
     return str(path)
 
 
-def mesh_with_nan(folder):
+def mesh_with_nan(folder) -> str:
     path = folder / "nan.ply"
     header = ("ply", "format ascii 1.0", "element vertex 3", "property float x", "property float y", "property float z")
     faces = ("element face 1", "property list uchar int vertex_indices", "end_header")
@@ -281,23 +298,23 @@ def mesh_with_nan(folder):
     return str(path)
 
 
-def empty_obj(folder):
+def empty_obj(folder) -> str:
     path = folder / "empty.obj"
     path.write_text("# nothing\n")
     return str(path)
 
 
-def text_file(folder, name, *lines):
+def text_file(folder: Path, name: str, *lines: object) -> str:
     path = folder / name
     path.write_text("\n".join(lines) + "\n")
     return str(path)
 
 
-def disordered_head(folder):
+def disordered_head(folder) -> str:
     return text_file(folder, "head.tum", "0.0 0 0 0 0 0 0 1", "0.2 0 0 0 0 0 0 1", "0.1 0 0 0 0 0 0 1")
 
 
-def eyes_outside(folder):
+def eyes_outside(folder) -> str:
     header = ("# format: wlr-eye-trajectory 1", "# kind: viewpoint", "# frame: openxr-device", "# units: s m")
     return text_file(folder, "eyes.txt", *header, "0.0 right 0.02 0 0", "0.1 right 0.02 0 0")
 
@@ -347,14 +364,18 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_is_told_in_one_line_and_leaves_nothing_behind(fault, tmp_path, capsys):
+def test_a_fault_is_told_in_one_line_and_leaves_nothing_behind(
+    fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     make, sentence = FAULTS[fault]
     out = tmp_path / "out"
     assert sentence in refused([*make(tmp_path), "--out", str(out)], capsys)
     assert not out.exists() or not list(out.iterdir())
 
 
-def test_model_files_that_cannot_be_read_are_refused(model_file, tmp_path, capsys):
+def test_model_files_that_cannot_be_read_are_refused(
+    model_file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = Path(model_file).read_text(encoding="utf-8")
     short = text_file(tmp_path, "short.json", text[: len(text) // 2])
     newer = text_file(tmp_path, "newer.json", json.dumps(json.loads(text) | {"version": 99}))
@@ -366,7 +387,9 @@ def test_model_files_that_cannot_be_read_are_refused(model_file, tmp_path, capsy
 
 
 @pytest.mark.parametrize("verb", ["trace", "render", "demo"])
-def test_an_output_folder_that_is_a_file_is_refused(verb, tmp_path, capsys):
+def test_an_output_folder_that_is_a_file_is_refused(
+    verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = {
         "trace": [device(tmp_path)],
         "render": [device(tmp_path), "dots"],
@@ -378,8 +401,10 @@ def test_an_output_folder_that_is_a_file_is_refused(verb, tmp_path, capsys):
     assert (tmp_path / "taken").read_text() == "a file\n"
 
 
-def test_missing_opengl_is_told_and_leaves_nothing_behind(tmp_path, capsys, monkeypatch):
-    def refuse(backend="auto"):
+def test_missing_opengl_is_told_and_leaves_nothing_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(backend: object = "auto") -> NoReturn:
         raise MissingGlError("No OpenGL: install libegl1, or draw ray-traced frames.")
 
     monkeypatch.setattr(gl, "open_context", refuse)
@@ -390,7 +415,7 @@ def test_missing_opengl_is_told_and_leaves_nothing_behind(tmp_path, capsys, monk
 
 
 @pytest.mark.slow
-def test_debug_shows_where_a_fault_comes_from():
+def test_debug_shows_where_a_fault_comes_from() -> None:
     result = run_python("-m", "wlr_render", "trace", "nothstar", "--debug")
     assert result.returncode == 1
     assert "Traceback" in result.stderr
@@ -399,8 +424,10 @@ def test_debug_shows_where_a_fault_comes_from():
         main(["trace", "--nonsense", "--debug"])
 
 
-def test_an_interruption_has_its_own_status(monkeypatch, capsys):
-    def interrupt(*arguments, **options):
+def test_an_interruption_has_its_own_status(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*arguments: object, **options: object) -> NoReturn:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("wlr_render.jobs.trace.load_device", interrupt)
@@ -411,14 +438,14 @@ def test_an_interruption_has_its_own_status(monkeypatch, capsys):
 # What is printed, and what reaches the jobs.
 
 
-def test_trace_prints_its_figures_and_where_the_drawing_is(tmp_path, capsys):
+def test_trace_prints_its_figures_and_where_the_drawing_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["trace", device(tmp_path), "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     assert "pupil swim per mm in x" in printed
     assert str(tmp_path / "out" / "no_optics-right.png") in printed
 
 
-def test_render_says_what_it_drew_and_what_it_kept(tmp_path, capsys):
+def test_render_says_what_it_drew_and_what_it_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["render", device(tmp_path), "dots", "--backend", "cpu", "--out", str(tmp_path / "out")]
     assert main(arguments) == 0
     assert "1 frame drawn, 0 kept from an earlier run" in capsys.readouterr().out
@@ -426,13 +453,13 @@ def test_render_says_what_it_drew_and_what_it_kept(tmp_path, capsys):
     assert "0 frames drawn, 1 kept from an earlier run" in capsys.readouterr().out
 
 
-def options_given_by(arguments):
+def options_given_by(arguments: Sequence[Any]) -> None:
     """The options that a command line makes."""
     _, bound, _ = make_app().parse_args(arguments, exit_on_error=False, print_error=False)
     return bound.arguments.get("options")
 
 
-def test_options_reach_the_jobs():
+def test_options_reach_the_jobs() -> None:
     files = ["--head", "h.tum", "--eye-track", "e.txt"]
     drawing = ["--method", "raytrace", "--supersample", "2", "--shadows", "--fps", "72", "--frames", "9", "--video"]
     assert options_given_by(["render", "l.json", "desk", "--eye", "both", *files, *drawing]) == RenderOptions(
@@ -468,7 +495,7 @@ def test_options_reach_the_jobs():
     )
 
 
-def test_tables_are_whole_in_a_pipe(monkeypatch, capsys):
+def test_tables_are_whole_in_a_pipe(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     wide = ReportTable("Wide", ("what", *("a long column head (arcmin)",) * 4), [["row", 1.0, 2.0, None, 12345.0]])
     monkeypatch.setenv("COLUMNS", "40")
     print_report(Report("", blocks=[wide]))
@@ -477,7 +504,7 @@ def test_tables_are_whole_in_a_pipe(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(("before", "after"), [(None, "1"), ("3", "3")])
-def test_blas_threads_are_off_unless_asked_for(monkeypatch, before, after):
+def test_blas_threads_are_off_unless_asked_for(monkeypatch: pytest.MonkeyPatch, before: str | None, after: str) -> None:
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", before or "")
     if before is None:
         monkeypatch.delenv("OPENBLAS_NUM_THREADS")

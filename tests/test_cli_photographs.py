@@ -1,5 +1,6 @@
 """The command line's verbs about photographs."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,9 @@ from wlr_render.simulation.photographs.simulate_photo_session import TakenPhotog
 from wlr_render.work.workers import WorkerPool
 
 
-def test_options_of_the_command_line_make_the_bench(monkeypatch, capsys):
+def test_options_of_the_command_line_make_the_bench(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     given = []
     monkeypatch.setattr(
         simulate, "simulate_photo_session", lambda *arguments: given.append(arguments[:3]) or TakenPhotographs(7, 3, ())
@@ -39,7 +42,9 @@ def test_options_of_the_command_line_make_the_bench(monkeypatch, capsys):
     assert "wlr-render calibrate there" in printed
 
 
-def test_board_writes_what_is_printed_and_what_calibration_reads(tmp_path, capsys):
+def test_board_writes_what_is_printed_and_what_calibration_reads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     small = ["--columns", "8", "--rows", "7", "--pitch-mm", "10", "--dpi", "100"]
     assert main(["board", *small, "--out", str(tmp_path / "out")]) == 0
     assert "board.svg" in capsys.readouterr().out
@@ -47,7 +52,7 @@ def test_board_writes_what_is_printed_and_what_calibration_reads(tmp_path, capsy
     assert "pitch_mm = 10.0" in (tmp_path / "out" / "board.toml").read_text()
 
 
-def expose_less(folder):
+def expose_less(folder: Path) -> None:
     """Pictures as a camera takes them: white is below the end of the scale."""
     for path in folder.glob("*.png"):
         image = (0.8 * read_photograph(path)).astype(np.uint8)
@@ -56,7 +61,9 @@ def expose_less(folder):
 
 
 @pytest.mark.parametrize("code", ["gray", "fringes", "gray-fringes"])
-def test_well_exposed_pictures_of_a_code_decode_to_themselves(code, tmp_path, capsys):
+def test_well_exposed_pictures_of_a_code_decode_to_themselves(
+    code: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     panel = ["--panel", "160x100", "--pattern", code]
     assert main(["pattern", *panel, "--out", str(tmp_path / "shown")]) == 0
     assert "show.html" in capsys.readouterr().out
@@ -70,7 +77,9 @@ def test_well_exposed_pictures_of_a_code_decode_to_themselves(code, tmp_path, ca
     assert np.abs(decoded["pixel"] - centres)[accepted].max() < 0.02
 
 
-def test_pictures_at_the_end_of_the_scale_are_refused_as_over_exposed(tmp_path, capsys):
+def test_pictures_at_the_end_of_the_scale_are_refused_as_over_exposed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Nothing tells the pictures themselves from photographs that are clipped."""
     assert main(["pattern", "--panel", "64x40", "--out", str(tmp_path / "shown")]) == 0
     capsys.readouterr()
@@ -88,7 +97,9 @@ PHOTOGRAPH_FAULTS = {
 
 
 @pytest.mark.parametrize("fault", PHOTOGRAPH_FAULTS)
-def test_what_cannot_be_done_with_photographs_is_told_in_one_line(fault, tmp_path, capsys):
+def test_what_cannot_be_done_with_photographs_is_told_in_one_line(
+    fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     make, sentence = PHOTOGRAPH_FAULTS[fault]
     (tmp_path / "here").mkdir()
     assert sentence in refused([*make(tmp_path / "here"), "--out", str(tmp_path / "out")], capsys)
@@ -96,7 +107,7 @@ def test_what_cannot_be_done_with_photographs_is_told_in_one_line(fault, tmp_pat
 
 
 @pytest.mark.parametrize("size", ["1920", "1920x", "0x1080", "wide x high"])
-def test_sizes_that_make_no_sense_are_refused(size, tmp_path, capsys):
+def test_sizes_that_make_no_sense_are_refused(size: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sentence = refused(["pattern", "--panel", size, "--out", str(tmp_path / "out")], capsys)
     not_positive, no_size = "--panel is 0; it must be", f"--panel: '{size}' is not width and height in pixels"
     assert (not_positive if size == "0x1080" else no_size) in sentence
@@ -114,7 +125,9 @@ def test_sizes_that_make_no_sense_are_refused(size, tmp_path, capsys):
         (["calibrate", "--workers", "0"], "--workers is 0; it must be between 1 and 256."),
     ],
 )
-def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys):
+def test_wrong_options_are_refused_in_one_line(
+    wrong: Sequence[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     given = "northstar" if wrong[0] == "simulate" else str(tmp_path / "none")
     assert sentence in refused([wrong[0], given, *wrong[1:]], capsys)
     assert list(tmp_path.iterdir()) == []

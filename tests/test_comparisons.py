@@ -3,6 +3,8 @@
 import dataclasses
 import importlib
 import pkgutil
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -11,7 +13,7 @@ import wlr_render
 PACKAGES = ("geometry", "scene", "draw", "warp", "exports", "tracking", "mappings", "jobs.frame_plan")
 
 
-def modules(name):
+def modules(name: str) -> Iterator[Any]:
     module = importlib.import_module(f"{wlr_render.__name__}.{name}")
     yield module
     for found in pkgutil.iter_modules(getattr(module, "__path__", [])):
@@ -19,7 +21,7 @@ def modules(name):
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_what_holds_arrays_compares_by_identity(package):
+def test_what_holds_arrays_compares_by_identity(package: str) -> None:
     holding = {
         each
         for module in modules(package)

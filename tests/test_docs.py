@@ -4,9 +4,11 @@ import re
 import tomllib
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cyclopts import CycloptsError
+from cyclopts.core import App
 
 from benchmarks.__main__ import make_app as make_benchmarks
 from wlr_render.cli import make_app
@@ -60,12 +62,12 @@ PLACEHOLDERS = {"VERB", "NAME"}
 VERBS, BENCHMARKS = make_app(), make_benchmarks()
 
 
-def name_of(path):
+def name_of(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=name_of)
-def test_files_that_a_text_names_exist(text):
+def test_files_that_a_text_names_exist(text: Path) -> None:
     content = text.read_text(encoding="utf-8")
     named = {name for name in FILE.findall(content) if "NAME" not in name} - THEIRS
     lost = {name for name in named if not any((place / name).exists() for place in [text.parent, *PLACES])}
@@ -73,14 +75,14 @@ def test_files_that_a_text_names_exist(text):
     assert not lost
 
 
-def anchors_of(path):
+def anchors_of(path: Path) -> set[Any]:
     """Of the headings of a Markdown file, as GitHub makes them."""
     words = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in HEADING.findall(path.read_text(encoding="utf-8")))
     return {each.strip().replace(" ", "-") for each in words}
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=name_of)
-def test_sections_that_a_text_links_exist(text):
+def test_sections_that_a_text_links_exist(text: Path) -> None:
     found = {
         (name, anchor)
         for name, anchor in ANCHOR.findall(text.read_text(encoding="utf-8"))
@@ -89,7 +91,7 @@ def test_sections_that_a_text_links_exist(text):
     assert not found
 
 
-def app_of(app, words):
+def app_of(app: App, words: list[str]) -> tuple[Any, Any]:
     """The parser of the verb that some words begin with, and the words behind it."""
     words = list(words)
     while words and not words[0].startswith("-") and words[0] in app:
@@ -97,7 +99,7 @@ def app_of(app, words):
     return app, words
 
 
-def fault_of_command(text, *, complete, of_script):
+def fault_of_command(text: str, *, complete: bool, of_script: bool) -> str:
     """What is wrong with a command as a text names it, without the program's name; empty if nothing is.
 
     Args:
@@ -127,7 +129,7 @@ def fault_of_command(text, *, complete, of_script):
     return f"no option {', '.join(lost)}" if lost else ""
 
 
-def faults_of_text(content):
+def faults_of_text(content: str) -> dict[Any, Any]:
     """Commands in a Markdown text that the command line does not take: those of code blocks as they stand."""
     faults = {}
     blocks = re.findall(r"^```\w*\n(.*?)^```|((?:^    .*\n)+)", content, flags=re.M | re.S)
@@ -139,7 +141,7 @@ def faults_of_text(content):
     return {command: fault for command, fault in faults.items() if fault}
 
 
-def fault_of_span(span):
+def fault_of_span(span) -> str:
     """What is wrong with a span of code if it is a command: with the program's name, or a verb with options."""
     if match := re.match(rf"{PROGRAM}(.*)", span):
         return fault_of_command(match[1], complete=False, of_script=span.startswith("./wlr"))
@@ -148,7 +150,7 @@ def fault_of_span(span):
 
 
 @cache
-def sources():
+def sources() -> str:
     """All source files of the program as one text."""
     folders = (ROOT / name for name in ("wlr_render", "benchmarks", "shaders", "tests/oracle"))
     return "".join(
@@ -157,7 +159,7 @@ def sources():
 
 
 @pytest.mark.parametrize("text", [text for text in TEXTS if text.name != "CHANGELOG.md"], ids=name_of)
-def test_classes_and_constants_that_a_text_names_exist(text):
+def test_classes_and_constants_that_a_text_names_exist(text: Path) -> None:
     names = {
         name for span in SPAN.findall(text.read_text(encoding="utf-8")) for name in CLASS_OR_CONSTANT.findall(span)
     }
@@ -165,12 +167,12 @@ def test_classes_and_constants_that_a_text_names_exist(text):
 
 
 @pytest.mark.parametrize("text", [text for text in TEXTS if text.name != "CHANGELOG.md"], ids=name_of)
-def test_commands_that_a_text_names_are_accepted(text):
+def test_commands_that_a_text_names_are_accepted(text: Path) -> None:
     assert faults_of_text(text.read_text(encoding="utf-8")) == {}
 
 
 @pytest.mark.parametrize("path", CODE, ids=name_of)
-def test_commands_that_messages_and_docstrings_name_exist(path):
+def test_commands_that_messages_and_docstrings_name_exist(path: Path) -> None:
     joined = re.sub(r'"\s*\n\s*f?"', "", path.read_text(encoding="utf-8"))
     faults = {span: fault_of_span(span) for span in SPAN.findall(joined)}
     assert {span: fault for span, fault in faults.items() if fault} == {}
@@ -190,7 +192,7 @@ def test_commands_that_messages_and_docstrings_name_exist(path):
         "    ./wlr render northstar desk --eyes left\n",
     ],
 )
-def test_wrong_commands_are_found(text):
+def test_wrong_commands_are_found(text: str) -> None:
     assert len(faults_of_text(text)) == 1
 
 
@@ -202,11 +204,11 @@ def test_wrong_commands_are_found(text):
         "```\n./wlr render HEADSET desk --maps tiff --eye both  # a comment\n./wlr bench\n```\n",
     ],
 )
-def test_right_commands_are_not_found(text):
+def test_right_commands_are_not_found(text: str) -> None:
     assert faults_of_text(text) == {}
 
 
-def test_the_picture_of_the_rooms_has_the_layers_of_the_contract():
+def test_the_picture_of_the_rooms_has_the_layers_of_the_contract() -> None:
     contract = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
         "contracts"
     ][0]

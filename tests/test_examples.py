@@ -11,19 +11,22 @@ import sys
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 from small_headsets import changed_device
 
 import wlr_render as wlr
+from wlr_render.bench.bench import Bench
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.extras import install_command
 from wlr_render.gl.native_contexts import OsMesaContext
 from wlr_render.jobs.frame_plan import motion_of, planned_frames
 from wlr_render.jobs.headset import open_eye
-from wlr_render.jobs.render import RenderOptions
+from wlr_render.jobs.render_options import RenderOptions
 
 EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("[0-9][0-9]_*.py"))
 WORDS_AND_FILES = {
@@ -52,21 +55,21 @@ NEED_EGL = {"07_plug_into_pyrender", "08_real_time"}
 PIXELS = {"freeform40": ("[1920, 1080]", "[480, 270]"), "northstar": ("[1440, 1600]", "[180, 200]")}
 
 
-def low_degrees(patch, folder):
+def low_degrees(patch, folder: object) -> None:
     """A quarter of the directions at each camera position, and models of lower degrees."""
     patch.setitem(wlr.simulate.__kwdefaults__, "grid", (13, 11))
     patch.setattr(wlr, "calibrate", partial(wlr.calibrate, display_degree=5, see_through_degree=4))
 
 
-def few_readings(patch, folder):
+def few_readings(patch, folder: object) -> None:
     """A third of the captures of a session, and few causes."""
     load_session = wlr.load_session
 
-    def third_of_session(path):
+    def third_of_session(path) -> tuple[Bench, Session]:
         bench, session = load_session(path)
-        rows = [np.flatnonzero(part.capture % 3 == 0) for part in session.plan.parts[:2]]
+        rows = [np.flatnonzero(present(part).capture % 3 == 0) for part in session.plan.parts[:2]]
         plan = SessionPlan(*(select_rows(part, kept) for part, kept in zip(session.plan.parts, rows, strict=False)))
-        readings = Readings(*(part[kept] for part, kept in zip(session.readings.parts, rows, strict=False)))
+        readings = Readings(*(present(part)[kept] for part, kept in zip(session.readings.parts, rows, strict=False)))
         return bench, Session(session.name, plan, readings)
 
     patch.setattr(wlr, "load_session", third_of_session)
@@ -74,7 +77,7 @@ def few_readings(patch, folder):
     patch.setattr(wlr, "diagnose", partial(wlr.diagnose, causes=causes))
 
 
-def small_panels(patch, folder):
+def small_panels(patch, folder) -> None:
     """A fraction of the panel's pixels."""
     paths = {name: changed_device(folder, name, change) for name, change in PIXELS.items()}
     patch.setattr(wlr, "open_eye", lambda device, eye="right": open_eye(paths[device], eye))
@@ -88,11 +91,11 @@ SMALLER = {
 }
 
 
-def path_of(name):
+def path_of(name: str) -> Path:
     return next(path for path in EXAMPLES if path.stem == name)
 
 
-def run(name, folder, **environment):
+def run(name: str, folder: Path, **environment: Any) -> None:
     path = path_of(name)
     command = [sys.executable, "-W", "error::RuntimeWarning", str(path)]
     given = os.environ | environment
@@ -101,18 +104,18 @@ def run(name, folder, **environment):
     assert_finished(name, result.stdout, folder)
 
 
-def assert_finished(name, printed, folder):
+def assert_finished(name: str, printed: str, folder: Path) -> None:
     words, files = WORDS_AND_FILES[name]
     assert words in printed
     assert {entry.name for entry in folder.iterdir()} == files
 
 
-def require_library(name):
+def require_library(name: str) -> None:
     if find_spec(name) is None:
         pytest.skip(f"{name} is not installed; docs/renderers.md has the command.")
 
 
-def require_webgpu():
+def require_webgpu() -> None:
     wgpu = pytest.importorskip("wgpu", reason="wgpu is not installed.")
     try:
         wgpu.gpu.request_adapter_sync()
@@ -122,7 +125,7 @@ def require_webgpu():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in WORDS_AND_FILES if name not in SMALLER])
-def test_an_example_runs(name, tmp_path, request):
+def test_an_example_runs(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     if name in NEED_LIBRARY:
         require_library(NEED_LIBRARY[name])
     if name in NEED_WEBGPU:
@@ -135,7 +138,13 @@ def test_an_example_runs(name, tmp_path, request):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("name", SMALLER)
-def test_a_long_example_runs_of_less(name, tmp_path, tmp_path_factory, monkeypatch, capsys):
+def test_a_long_example_runs_of_less(
+    name: str,
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     SMALLER[name](monkeypatch, tmp_path_factory.mktemp("devices"))
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(path_of(name)))
@@ -143,7 +152,7 @@ def test_a_long_example_runs_of_less(name, tmp_path, tmp_path_factory, monkeypat
 
 
 @pytest.mark.parametrize(("name", "library"), (NEED_LIBRARY | {"09_own_warp": "wgpu", "10_openxr": "xr"}).items())
-def test_without_its_library_an_example_ends_with_the_command(name, library, tmp_path):
+def test_without_its_library_an_example_ends_with_the_command(name: str, library: str, tmp_path: Path) -> None:
     (tmp_path / f"{library}.py").write_text(f"raise ModuleNotFoundError('not here', name='{library}')\n")
     path = path_of(name)
     given = os.environ | {"PYTHONPATH": str(tmp_path)}
@@ -155,7 +164,7 @@ def test_without_its_library_an_example_ends_with_the_command(name, library, tmp
 
 @pytest.mark.slow
 @pytest.mark.gl
-def test_the_plug_in_works_without_egl_too(tmp_path):
+def test_the_plug_in_works_without_egl_too(tmp_path: Path) -> None:
     try:
         OsMesaContext.library()
     except OSError as error:
@@ -163,7 +172,7 @@ def test_the_plug_in_works_without_egl_too(tmp_path):
     run("07_plug_into_pyrender", tmp_path, PYOPENGL_PLATFORM="osmesa")
 
 
-def test_the_trajectories_cover_three_seconds_inside_the_eye_boxes():
+def test_the_trajectories_cover_three_seconds_inside_the_eye_boxes() -> None:
     data = EXAMPLES[0].parent / "data"
     options = RenderOptions(
         "northstar", "desk", head=data / "head.tum", eye_track=data / "eyes.txt", eye="both", frames_per_second=10.0
@@ -174,7 +183,7 @@ def test_the_trajectories_cover_three_seconds_inside_the_eye_boxes():
     assert len({tuple(frame.viewpoint) for frame in plan}) > 20
 
 
-def test_the_code_in_the_readme_makes_the_session_of_example_5(tmp_path, monkeypatch):
+def test_the_code_in_the_readme_makes_the_session_of_example_5(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Up to rounding differences between processors."""
     data = EXAMPLES[0].parent / "data"
     (code,) = re.findall(r"```python\n(.*?)```", (data / "README.md").read_text(encoding="utf-8"), re.DOTALL)
@@ -188,5 +197,5 @@ def test_the_code_in_the_readme_makes_the_session_of_example_5(tmp_path, monkeyp
         np.testing.assert_allclose(made, kept, rtol=0, atol=1e-3)
 
 
-def test_every_example_is_tested():
+def test_every_example_is_tested() -> None:
     assert {path.stem for path in EXAMPLES} == set(WORDS_AND_FILES) | TESTED_ELSEWHERE

@@ -1,12 +1,25 @@
 """Records: what is written is read back, and each key beyond its bounds is refused with the file and the key."""
 
+from collections.abc import Iterator
 from dataclasses import fields, replace
-from typing import Literal, get_origin
+from pathlib import Path
+from typing import Any, Literal, get_origin
 
 import numpy as np
 import pytest
 
-from wlr_render.bench.bench_file import SECTIONS, TargetPose
+from wlr_render.bench.bench import (
+    Clock,
+    EyeballCamera,
+    EyeTracking,
+    Mount,
+    PanelReadout,
+    Stage,
+    Target,
+    TargetPose,
+    Tracking,
+)
+from wlr_render.bench.bench_file import SECTIONS
 from wlr_render.captures.boards.april_grid import AprilGrid
 from wlr_render.captures.boards.board import BoardTolerances
 from wlr_render.captures.boards.board_keys import BoardPlace
@@ -88,20 +101,83 @@ RECORDS = [
 ]
 
 
-def given(record):
+def given(
+    record: AprilGrid
+    | BenchImperfections
+    | BoardPhotograph
+    | BoardTolerances
+    | CharucoBoard
+    | Chessboard
+    | CircleGrid
+    | Clock
+    | CodeTable
+    | Conic
+    | DotBoard
+    | Ellipsoid
+    | EyeTracking
+    | EyeballCamera
+    | GaussianBump
+    | GivenPose
+    | Mount
+    | Offset
+    | PanelReadout
+    | PhotoBenchOptions
+    | PhotographFormat
+    | PlacedPanel
+    | Stage
+    | StageAxis
+    | StageTable
+    | SumOfProfiles
+    | Target
+    | TargetPose
+    | Toroid
+    | Tracking,
+) -> dict[Any, Any]:
     """The attributes that the record's table does not state."""
     stated = {each.name for each in attributes(type(record))}
     return {each.name: getattr(record, each.name) for each in fields(record) if each.name not in stated}
 
 
-def keys_of(kind):
+def keys_of(kind: type[Any]) -> list[Any]:
     """The single keys of a record's forms."""
     forms = [each.form for each in attributes(kind)]
     return [key for form in forms for key in (form.parts if isinstance(form, Keys) else [form])]
 
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda record: type(record).__name__)
-def test_what_is_written_is_read_back(record, tmp_path):
+def test_what_is_written_is_read_back(
+    record: AprilGrid
+    | BenchImperfections
+    | BoardPhotograph
+    | BoardTolerances
+    | CharucoBoard
+    | Chessboard
+    | CircleGrid
+    | Clock
+    | CodeTable
+    | Conic
+    | DotBoard
+    | Ellipsoid
+    | EyeTracking
+    | EyeballCamera
+    | GaussianBump
+    | GivenPose
+    | Mount
+    | Offset
+    | PanelReadout
+    | PhotoBenchOptions
+    | PhotographFormat
+    | PlacedPanel
+    | Stage
+    | StageAxis
+    | StageTable
+    | SumOfProfiles
+    | Target
+    | TargetPose
+    | Toroid
+    | Tracking,
+    tmp_path: Path,
+) -> None:
     path = write_toml(tmp_path / "a.toml", record_keys(record, PLACE, defaults=True))
     again = read_record(type(record), read_toml(path), PLACE, **given(record))
     for each in attributes(type(record)):
@@ -110,7 +186,7 @@ def test_what_is_written_is_read_back(record, tmp_path):
         assert np.array_equal(ours, theirs) or np.allclose(ours, theirs, rtol=0, atol=1e-9)
 
 
-def beyond(key, stated):
+def beyond(key, stated) -> Iterator[Any]:
     """Values that a key refuses, in the shape of a value that it accepts."""
     bounds = (key.least, -1), (key.above, 0), (key.most, 1)
     for bound, side in [] if key.type in (bool, str, list) or get_origin(key.type) is Literal else bounds:
@@ -122,7 +198,38 @@ def beyond(key, stated):
 
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda record: type(record).__name__)
-def test_a_value_beyond_its_bounds_is_refused_with_file_and_key(record):
+def test_a_value_beyond_its_bounds_is_refused_with_file_and_key(
+    record: AprilGrid
+    | BenchImperfections
+    | BoardPhotograph
+    | BoardTolerances
+    | CharucoBoard
+    | Chessboard
+    | CircleGrid
+    | Clock
+    | CodeTable
+    | Conic
+    | DotBoard
+    | Ellipsoid
+    | EyeTracking
+    | EyeballCamera
+    | GaussianBump
+    | GivenPose
+    | Mount
+    | Offset
+    | PanelReadout
+    | PhotoBenchOptions
+    | PhotographFormat
+    | PlacedPanel
+    | Stage
+    | StageAxis
+    | StageTable
+    | SumOfProfiles
+    | Target
+    | TargetPose
+    | Toroid
+    | Tracking,
+) -> None:
     written = record_keys(record, PLACE, defaults=True)
     for key in keys_of(type(record)):
         name = next((name for name in key.names if name in written), "")
@@ -133,7 +240,7 @@ def test_a_value_beyond_its_bounds_is_refused_with_file_and_key(record):
             assert "\n" not in str(caught.value)
 
 
-def limits(key):
+def limits(key) -> str:
     """The limits of a key in words, "" without any."""
     key = key._key(PLACE) if hasattr(key, "_key") else key
     if key.most is None and key.least is None:
@@ -143,12 +250,12 @@ def limits(key):
     return f"`{key.name}` " + (f"{low} to {key.most:g}" if key.most is not None else f"{low} or more")
 
 
-def test_the_manual_has_the_limits_of_every_key():
+def test_the_manual_has_the_limits_of_every_key() -> None:
     for place, kind in DOCUMENTED.items():
         assert f"| {place} | {'; '.join(filter(None, map(limits, keys_of(kind))))} |\n" in MANUAL
 
 
-def test_one_of_several_keys_alone_is_refused():
+def test_one_of_several_keys_alone_is_refused() -> None:
     keys = record_keys(RECORDS[0], PLACE)
     with pytest.raises(BadInputError, match="key 'height' is missing"):
         read_record(type(RECORDS[0]), Table({k: v for k, v in keys.items() if k != "height"}, WHERE), PLACE)

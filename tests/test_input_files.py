@@ -2,6 +2,9 @@ import gzip
 import os
 import socket
 import zlib
+from pathlib import Path
+from socket import gaierror
+from typing import NoReturn
 
 import cv2
 import numpy as np
@@ -15,7 +18,7 @@ from wlr_render.io.input_files import prefix_errors
 WHOLE = 1_000_000
 
 
-def test_only_regular_files_are_read(tmp_path):
+def test_only_regular_files_are_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", "/dev/zero"):
         with pytest.raises(BadInputError, match="is a pipe or a device"):
@@ -28,7 +31,7 @@ def test_only_regular_files_are_read(tmp_path):
         input_files.read_bytes("a\0b", WHOLE)
 
 
-def test_a_file_has_a_largest_size(tmp_path):
+def test_a_file_has_a_largest_size(tmp_path: Path) -> None:
     path = tmp_path / "large"
     path.write_bytes(bytes(10))
     assert input_files.read_bytes(path, 10) == bytes(10)
@@ -36,7 +39,7 @@ def test_a_file_has_a_largest_size(tmp_path):
         input_files.read_bytes(path, 9)
 
 
-def test_text_that_is_not_utf_8_is_refused_by_its_line(tmp_path):
+def test_text_that_is_not_utf_8_is_refused_by_its_line(tmp_path: Path) -> None:
     path = tmp_path / "text"
     path.write_bytes(b"\xef\xbb\xbfa\nb\xff")
     with pytest.raises(BadInputError, match="line 2 is not UTF-8 text, so this is not a poem"):
@@ -45,7 +48,7 @@ def test_text_that_is_not_utf_8_is_refused_by_its_line(tmp_path):
     assert input_files.read_text(path, "a poem") == "a"
 
 
-def test_gzip_is_decompressed_up_to_its_limit():
+def test_gzip_is_decompressed_up_to_its_limit() -> None:
     packed = gzip.compress(bytes(1000)) + gzip.compress(b"end")
     assert input_files.gunzip("f", packed, 1003) == bytes(1000) + b"end"
     for content, limit, sentence in (
@@ -57,7 +60,7 @@ def test_gzip_is_decompressed_up_to_its_limit():
             input_files.gunzip("f", content, limit)
 
 
-def test_arrays_that_decompress_to_too_much_are_refused_unread(tmp_path, monkeypatch):
+def test_arrays_that_decompress_to_too_much_are_refused_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.npz"
     np.savez_compressed(path, a=np.zeros(1000))
     assert input_files.read_arrays(path, "captures")["a"].shape == (1000,)
@@ -70,7 +73,9 @@ def test_arrays_that_decompress_to_too_much_are_refused_unread(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tiff", ".pfm"])
-def test_a_picture_of_too_many_pixels_is_refused_undecoded(suffix, tmp_path, monkeypatch):
+def test_a_picture_of_too_many_pixels_is_refused_undecoded(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / f"a{suffix}"
     cv2.imwrite(str(path), np.zeros((30, 40, 3), np.uint8 if suffix == ".png" else np.float32))
     assert input_files.read_image(path, cv2.IMREAD_UNCHANGED).shape == (30, 40, 3)
@@ -80,7 +85,7 @@ def test_a_picture_of_too_many_pixels_is_refused_undecoded(suffix, tmp_path, mon
 
 
 @pytest.mark.parametrize("content", [b"", b"text", cv2.imencode(".hdr", np.ones((4, 6, 3), np.float32))[1].tobytes()])
-def test_a_picture_of_unknown_size_is_refused_undecoded(content, tmp_path):
+def test_a_picture_of_unknown_size_is_refused_undecoded(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "a.png"
     path.write_bytes(content)
     with pytest.raises(BadInputError, match=r"a\.png: cannot be read as a picture \(its format is not known\)"):
@@ -90,7 +95,9 @@ def test_a_picture_of_unknown_size_is_refused_undecoded(content, tmp_path):
 @pytest.mark.parametrize(
     "error", [KeyError("a"), RecursionError(), MemoryError(), OverflowError("big"), OSError(5, "x")]
 )
-def test_whatever_a_parser_raises_names_the_file(error):
+def test_whatever_a_parser_raises_names_the_file(
+    error: KeyError | MemoryError | OSError | OverflowError | RecursionError,
+) -> None:
     with (
         pytest.raises(BadInputError, match=r"^thing\.x: .*; write it again\.$"),
         input_files.as_bad_input("thing.x", "a thing"),
@@ -98,7 +105,7 @@ def test_whatever_a_parser_raises_names_the_file(error):
         raise error
 
 
-def test_work_on_a_file_names_it():
+def test_work_on_a_file_names_it() -> None:
     with pytest.raises(BadInputError, match=r"^eye\.npz: too few\."), prefix_errors("eye.npz"):
         raise BadInputError("too few.")
     with pytest.raises(BadInputError, match=r"^in eye\.npz\."), prefix_errors("eye.npz"):
@@ -112,7 +119,7 @@ def test_work_on_a_file_names_it():
         _ = 1 / 0
 
 
-def test_a_reference_stays_in_its_folder(tmp_path):
+def test_a_reference_stays_in_its_folder(tmp_path: Path) -> None:
     folder = tmp_path / "in"
     folder.mkdir()
     (folder / "link").symlink_to(tmp_path)
@@ -126,7 +133,7 @@ def test_a_reference_stays_in_its_folder(tmp_path):
         input_files.inside_folder(folder, "a\0", "f")
 
 
-def test_a_length_in_millimetres_is_asked_about():
+def test_a_length_in_millimetres_is_asked_about() -> None:
     input_files.require_length("f 'z_m'", [0.03, -1.0], 1.0)
     with pytest.raises(BadInputError, match=r"f 'z_m' has a length of 30 m, .* in millimetres"):
         input_files.require_length("f 'z_m'", [[30.0]], 1.0)
@@ -148,8 +155,21 @@ def test_a_length_in_millimetres_is_asked_about():
         (PermissionError(13, "Permission denied", "a.png"), 2, "a.png: cannot be read or written (Permission denied)"),
     ],
 )
-def test_any_exception_ends_in_one_sentence(error, status, sentence, monkeypatch, capsys):
-    def fail(*_):
+def test_any_exception_ends_in_one_sentence(
+    error: ConnectionResetError
+    | KeyError
+    | MemoryError
+    | OSError
+    | PermissionError
+    | ProcessLookupError
+    | TimeoutError
+    | gaierror,
+    status: int,
+    sentence: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(*_: object) -> NoReturn:
         raise error
 
     monkeypatch.setattr(cli, "_run", fail)
@@ -159,7 +179,7 @@ def test_any_exception_ends_in_one_sentence(error, status, sentence, monkeypatch
     assert len(printed.splitlines()) == 1
 
 
-def test_the_command_line_lets_trusted_files_refer_to_other_folders(monkeypatch):
+def test_the_command_line_lets_trusted_files_refer_to_other_folders(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
     monkeypatch.setattr(cli, "_run", lambda *_: seen.append(input_files.inside_folder("a", "../b", "f")) or 0)
     assert cli.main(["demo", "--outside-references"]) == 0

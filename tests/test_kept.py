@@ -2,6 +2,9 @@
 
 import json
 import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,7 +15,7 @@ RECIPE = recipe_of("pattern", {"--pattern": "gray"}, {})
 
 
 @pytest.fixture
-def paths(tmp_path):
+def paths(tmp_path: Path) -> list[Path]:
     """Three files, one of them in a folder of its own."""
     (tmp_path / "display").mkdir()
     found = [tmp_path / "a.png", tmp_path / "b.png", tmp_path / "display" / "a.png"]
@@ -21,7 +24,7 @@ def paths(tmp_path):
     return found
 
 
-def test_a_file_is_finished_that_is_as_it_is_listed(tmp_path, paths):
+def test_a_file_is_finished_that_is_as_it_is_listed(tmp_path: Path, paths: list[Path]) -> None:
     Kept(tmp_path, RECIPE).add(signatures_of(paths[:2]))
     assert Kept(tmp_path, RECIPE).unfinished(paths) == [paths[2]]
     assert Kept(tmp_path, RECIPE).changed(paths) == []
@@ -46,7 +49,9 @@ def test_a_file_is_finished_that_is_as_it_is_listed(tmp_path, paths):
         ("pattern", {}, {"one.png": "1"}, "two.png has changed"),
     ],
 )
-def test_files_of_other_options_are_refused_in_one_sentence(tmp_path, paths, job, options, inputs, difference):
+def test_files_of_other_options_are_refused_in_one_sentence(
+    tmp_path: Path, paths: list[Path], job: str, options: dict[str, Any], inputs: Mapping[str, str], difference: str
+) -> None:
     stated = {"--size": (8, 4), "--device": file_of("a.toml", "1")}
     inputs_before = {"one.png": "1", "two.png": "2"}
     Kept(tmp_path, recipe_of("pattern", stated, inputs_before)).add(signatures_of(paths))
@@ -58,7 +63,7 @@ def test_files_of_other_options_are_refused_in_one_sentence(tmp_path, paths, job
         Kept(tmp_path, recipe_of(job, stated | options, inputs or inputs_before))
 
 
-def test_files_that_no_ledger_lists_are_refused_unless_the_recipe_was_stated(tmp_path, paths):
+def test_files_that_no_ledger_lists_are_refused_unless_the_recipe_was_stated(tmp_path: Path, paths: list[Path]) -> None:
     planned = {path: {} for path in paths}
     with pytest.raises(BadInputError, match=r"a\.png: was written by another program or job; choose another"):
         Kept(tmp_path, RECIPE, planned)
@@ -70,7 +75,7 @@ def test_files_that_no_ledger_lists_are_refused_unless_the_recipe_was_stated(tmp
     assert Kept(tmp_path, RECIPE, planned).unfinished(paths) == paths
 
 
-def test_facts_are_those_of_the_last_file(tmp_path, paths):
+def test_facts_are_those_of_the_last_file(tmp_path: Path, paths: list[Path]) -> None:
     Kept(tmp_path, RECIPE).add(signatures_of(paths), {"time_s": 0.1})
     assert [Kept(tmp_path, RECIPE).facts(path) for path in paths] == [{}, {}, {"time_s": 0.1}]
 
@@ -91,7 +96,7 @@ def test_facts_are_those_of_the_last_file(tmp_path, paths):
     ],
     ids=lambda line: line[:40].decode("latin1"),
 )
-def test_a_file_whose_line_is_damaged_is_unfinished(tmp_path, paths, line):
+def test_a_file_whose_line_is_damaged_is_unfinished(tmp_path: Path, paths: list[Path], line: bytes) -> None:
     Kept(tmp_path, RECIPE).add(signatures_of(paths))
     with (tmp_path / LEDGER).open("ab") as file:
         file.write(b'{"file": "a.png", "bytes": 7, "sha256": ""}\n' + line)
@@ -102,7 +107,9 @@ def test_a_file_whose_line_is_damaged_is_unfinished(tmp_path, paths, line):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="makes pipes")
-def test_pipes_links_and_huge_lists_are_refused_and_no_file_outside_is_written(tmp_path, paths, tmp_path_factory):
+def test_pipes_links_and_huge_lists_are_refused_and_no_file_outside_is_written(
+    tmp_path: Path, paths: list[Path], tmp_path_factory: pytest.TempPathFactory
+) -> None:
     with (tmp_path / LEDGER).open("wb") as file:
         file.truncate(1_000_000_000)
     with pytest.raises(BadInputError, match=rf"{LEDGER}: has more than 256 MB"):
@@ -126,7 +133,9 @@ def test_pipes_links_and_huge_lists_are_refused_and_no_file_outside_is_written(t
 
 
 @pytest.mark.parametrize("room", [0, 1, 100, 200])
-def test_on_a_full_disk_the_list_is_refused_and_the_next_run_goes_on(tmp_path, paths, file_size_limit, room):
+def test_on_a_full_disk_the_list_is_refused_and_the_next_run_goes_on(
+    tmp_path: Path, paths: list[Path], file_size_limit: Callable[[int], Iterator[None]], room: int
+) -> None:
     Kept(tmp_path, RECIPE).add(signatures_of(paths[:1]))
     finished = Kept(tmp_path, RECIPE)
     with file_size_limit((tmp_path / LEDGER).stat().st_size + room):

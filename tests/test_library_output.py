@@ -3,6 +3,8 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,17 +27,17 @@ os.write(2, b"C library again\\n")
 """
 
 
-def printed_by(block, **how):
+def printed_by(block: str, **how: Any):
     code = CHATTER.replace("BLOCK", block)
     return subprocess.run([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, check=True, **how).stderr
 
 
-def test_only_our_own_sentences_come_through():
+def test_only_our_own_sentences_come_through() -> None:
     assert printed_by("silenced_libraries") == "our own sentence\nafterwards\nC library again\n"
     assert {"C library", "log", "our own sentence"} < set(printed_by("contextlib.nullcontext").splitlines())
 
 
-def test_standard_error_comes_back_after_an_error(capfd):
+def test_standard_error_comes_back_after_an_error(capfd: pytest.CaptureFixture[str]) -> None:
     stream = sys.stderr
     with pytest.raises(ZeroDivisionError), silenced_libraries():
         raise ZeroDivisionError
@@ -44,7 +46,7 @@ def test_standard_error_comes_back_after_an_error(capfd):
     assert capfd.readouterr().err == "seen\n"
 
 
-def test_a_closed_standard_error_is_no_fault(monkeypatch):
+def test_a_closed_standard_error_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     kept = os.dup(2)
     monkeypatch.setattr(sys, "stderr", None)
     os.close(2)
@@ -56,7 +58,7 @@ def test_a_closed_standard_error_is_no_fault(monkeypatch):
         os.close(kept)
 
 
-def test_a_damaged_picture_ends_in_one_sentence(tmp_path, capfd):
+def test_a_damaged_picture_ends_in_one_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     png = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (90, 120, 3), np.uint8))[1].tobytes()
     for number in range(18):
         (tmp_path / f"{number:02d}.png").write_bytes(png[:9000])

@@ -1,6 +1,8 @@
 """The verbs on measured sets of others, as docs/measured-data.md shows them; skipped where the sets are not at hand."""
 
 import json
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -9,7 +11,9 @@ from wlr_render.cli import main
 
 
 @pytest.mark.slow
-def test_see_through_captures_of_a_headset_show_a_thick_plate(measured_data, tmp_path):
+def test_see_through_captures_of_a_headset_show_a_thick_plate(
+    measured_data: Callable[[str], Path], tmp_path: Path
+) -> None:
     session = tmp_path / "itoh"
     source = measured_data("itoh_seethrough") / "data"
     assert benchmark(["published-data", "itoh-seethrough", str(source), "--out", str(session)]) == 0

@@ -1,8 +1,10 @@
+from pathlib import Path
+
 import pytest
 from memo import memoised
 
 
-def test_a_function_is_called_once_for_each_argument_whoever_asks(tmp_path):
+def test_a_function_is_called_once_for_each_argument_whoever_asks(tmp_path: Path) -> None:
     calls = []
 
     def doubled(number):
@@ -14,18 +16,18 @@ def test_a_function_is_called_once_for_each_argument_whoever_asks(tmp_path):
     assert calls == [1, 2]
 
 
-def test_an_error_is_raised_for_everybody_who_asks(tmp_path):
+def test_an_error_is_raised_for_everybody_who_asks(tmp_path: Path) -> None:
     divided = memoised(lambda number: 1 / number, tmp_path)
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
             divided(0)
 
 
-def test_an_interrupted_computation_is_begun_again(tmp_path):
+def test_an_interrupted_computation_is_begun_again(tmp_path: Path) -> None:
     """As by a time limit of a test: who asks next does not wait for a result that nobody computes."""
     interrupts = [KeyboardInterrupt]
 
-    def computed():
+    def computed() -> int:
         if interrupts:
             raise interrupts.pop()
         return 5

@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import nbformat
 import pytest
@@ -21,16 +22,16 @@ CODE_OR_LINK = re.compile(r"`[^`]*`|\]\([^)]*\)")
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
-def read(path):
+def read(path: Path):
     return nbformat.read(path, as_version=4)
 
 
-def stated_numbers(notebook):
+def stated_numbers(notebook) -> set[Any]:
     text = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
     return set(NUMBER.findall(CODE_OR_LINK.sub("", text)))
 
 
-def shown(notebook):
+def shown(notebook) -> tuple[str, int]:
     """Text and pictures that the cells of a notebook show."""
     texts, pictures = [], 0
     for output in (output for cell in notebook.cells for output in cell.get("outputs", [])):
@@ -41,7 +42,7 @@ def shown(notebook):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_holds_no_outputs_and_is_valid(path):
+def test_a_notebook_holds_no_outputs_and_is_valid(path: Path) -> None:
     notebook = read(path)
     nbformat.validate(notebook)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
@@ -51,7 +52,7 @@ def test_a_notebook_holds_no_outputs_and_is_valid(path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_and_prints_the_numbers_of_its_text(path, tmp_path):
+def test_a_notebook_runs_and_prints_the_numbers_of_its_text(path: Path, tmp_path: Path) -> None:
     shutil.copytree(EXAMPLES / "data", tmp_path / "data")
     folder = tmp_path / "notebooks"
     folder.mkdir()
@@ -66,10 +67,10 @@ def test_a_notebook_runs_and_prints_the_numbers_of_its_text(path, tmp_path):
     assert {entry.name for entry in folder.iterdir()} <= {"out"}
 
 
-def test_every_notebook_is_tested():
+def test_every_notebook_is_tested() -> None:
     assert {path.stem for path in NOTEBOOKS} == set(WORDS)
 
 
-def test_numbers_in_prose_are_found_but_not_those_of_code_and_links():
+def test_numbers_in_prose_are_found_but_not_those_of_code_and_links() -> None:
     cell = nbformat.v4.new_markdown_cell("It is 0.25 in 16 of `case 3`, [here](02_b.ipynb).")
     assert stated_numbers(nbformat.v4.new_notebook(cells=[cell])) == {"0.25", "16"}

@@ -5,6 +5,8 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
+from signal import Signals
 
 import pytest
 
@@ -19,7 +21,7 @@ PROGRAMS = {
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "word"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_a_signal_ends_a_program_in_one_sentence(tmp_path, name, number, word):
+def test_a_signal_ends_a_program_in_one_sentence(tmp_path: Path, name: str, number: Signals, word: str) -> None:
     out = tmp_path / "out"
     process = subprocess.Popen(
         [sys.executable, "-m", *PROGRAMS[name], str(out)],

@@ -37,7 +37,7 @@ def row(name: str, size: usual.Size) -> str:
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_a_row_has_a_size_a_unit_and_a_source(name):
+def test_a_row_has_a_size_a_unit_and_a_source(name: str) -> None:
     size = ROWS[name]
     assert size.value > 0
     assert size.log_sigma >= 0
@@ -46,16 +46,16 @@ def test_a_row_has_a_size_a_unit_and_a_source(name):
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_a_row_is_used(name):
+def test_a_row_is_used(name: str) -> None:
     assert users(name)
 
 
-def test_names_end_with_their_unit():
+def test_names_end_with_their_unit() -> None:
     suffix = {"m": "_M", "rad": "_RAD", "deg": "_DEG", "arcmin": "_ARCMIN", "px": "_PX", "s": "_S"}
     assert [name for name, size in ROWS.items() if size.unit in suffix and not name.endswith(suffix[size.unit])] == []
 
 
-def test_the_documentation_prints_the_table():
+def test_the_documentation_prints_the_table() -> None:
     printed = (ROOT / "docs/equipment.md").read_text(encoding="utf-8").splitlines()
     table = [line for line in printed if line.startswith("| `")]
     expected = [row(name, size) for name, size in ROWS.items()]

@@ -5,17 +5,22 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
+from wlr_render.gl.context import GlContext
 from wlr_render.gl.programs import GLSL_VERSION
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def run_script(folder, arguments, commands, opengl="gl\n"):
+def run_script(
+    folder: Path, arguments: Sequence[Any], commands: Mapping[Any, Any], opengl: str = "gl\n"
+) -> subprocess.CompletedProcess[str]:
     """Run a copy of `wlr` whose venv is complete, with `commands` (shell scripts by name) before all others."""
     bin_folder = folder / ".venv" / "bin"
     bin_folder.mkdir(parents=True)
@@ -34,7 +39,7 @@ def run_script(folder, arguments, commands, opengl="gl\n"):
     )
 
 
-def test_readers_says_at_the_end_what_is_installed(tmp_path):
+def test_readers_says_at_the_end_what_is_installed(tmp_path: Path) -> None:
     """No package can be installed, and mrcal is missing."""
     commands = {"python": "exit 0", "dpkg": '[ "$2" = python3-mrcal ] || echo Status: install ok installed'}
     *_, missing, last = run_script(tmp_path, ["readers"], commands).stderr.splitlines()
@@ -44,13 +49,13 @@ def test_readers_says_at_the_end_what_is_installed(tmp_path):
 
 
 @pytest.mark.parametrize("verb", ["test", "check"])
-def test_tests_run_in_one_process_per_core_and_take_arguments(tmp_path, verb):
+def test_tests_run_in_one_process_per_core_and_take_arguments(tmp_path: Path, verb: str) -> None:
     commands = {name: "" for name in ("ruff", "mypy", "lint-imports")} | {"python": 'printf "[%s] " "$@"; echo'}
     *_, last = run_script(tmp_path, [verb, "tests/optics", "-k", "a b"], commands).stdout.splitlines()
     assert last == "[-m] [pytest] [-n] [auto] [--dist] [worksteal] [tests/optics] [-k] [a b] "
 
 
-def test_hooks_of_a_commit_run_what_check_runs_before_the_tests(tmp_path):
+def test_hooks_of_a_commit_run_what_check_runs_before_the_tests(tmp_path: Path) -> None:
     commands = {name: f'echo .venv/bin/{name} "$@"' for name in ("ruff", "mypy", "lint-imports")}
     commands["python"] = 'case "$*" in *pdoc*) echo ./wlr docs ;; esac'
     run = run_script(tmp_path, ["check"], commands).stdout.splitlines()
@@ -60,20 +65,22 @@ def test_hooks_of_a_commit_run_what_check_runs_before_the_tests(tmp_path):
 
 @pytest.mark.gl
 @pytest.mark.parametrize(("version", "found"), [("4.1", "gl\n"), ("3.3", "cpu\n")])
-def test_opengl_4_1_is_enough(gl_context, tmp_path, version, found):
+def test_opengl_4_1_is_enough(gl_context: GlContext, tmp_path: Path, version: str, found: str) -> None:
     python = f'[ "$1" = -c ] || exit 0\nMESA_GL_VERSION_OVERRIDE={version} exec {sys.executable} "$@"'
     said = run_script(tmp_path, ["demo"], {"python": python, "wlr-render": ""}, opengl=None).stderr
     assert (tmp_path / ".venv" / "wlr-gl").read_text() == found
     assert ("frames are drawn on the CPU" in said) == (found == "cpu\n")
 
 
-def test_the_instructions_ask_for_the_version_of_the_shaders():
+def test_the_instructions_ask_for_the_version_of_the_shaders() -> None:
     texts = [(ROOT / name).read_text(encoding="utf-8") for name in ("wlr", "docs/install.md", "shaders/README.md")]
     named = [re.findall(r"OpenGL (\d\.\d)", text) for text in texts]
     assert named == [[f"{GLSL_VERSION // 100}.{GLSL_VERSION // 10 % 10}"]] * 3
 
 
-def test_ci_fails_where_a_test_lacks_what_readers_install_and_passes_where_it_lacks_what_is_the_users(tmp_path):
+def test_ci_fails_where_a_test_lacks_what_readers_install_and_passes_where_it_lacks_what_is_the_users(
+    tmp_path: Path,
+) -> None:
     node = "captures/patterns/test_show_server.py::test_a_window_smaller_than_the_panel_is_refused"
     users = "test_release.py::test_rattler_build_renders_the_recipe"
     (tmp_path / "rattler_build.py").write_text("raise ModuleNotFoundError('not here')\n")

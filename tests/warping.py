@@ -1,15 +1,23 @@
 """Pictures warped along given rays."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.gl.context import GlContext
 from wlr_render.mappings import Panel
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.warp.gl_ray_maps import RayTexture
 from wlr_render.warp.gl_warp import GlWarp
 from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.grid import WarpGrid
+from wlr_render.warp.view import GeometryImage
+from wlr_render.warp.warp import WarpedImage
 
 
-def uploaded(context, image, camera):
+def uploaded(context: GlContext, image: GeometryImage, camera: Pinhole) -> GpuImage:
     """A `GeometryImage` as a `GpuImage`."""
     size = image.colour.shape[1::-1]
     with context.drawing():
@@ -20,7 +28,7 @@ def uploaded(context, image, camera):
     return GpuImage(context, camera, colour, inverse_depth)
 
 
-def uploaded_field(context, slope_offset, warp_grid):
+def uploaded_field(context: GlContext, slope_offset: Float32Array | FloatArray, warp_grid: WarpGrid) -> RayTexture:
     """Rays (4, rows, columns) at the points of a warp grid as a `RayTexture`."""
     with context.drawing():
         texture = context.target(warp_grid.size, 4, "f4")
@@ -28,7 +36,7 @@ def uploaded_field(context, slope_offset, warp_grid):
     return RayTexture(warp_grid, texture)
 
 
-def field_of_pixels(context, slope_offset):
+def field_of_pixels(context: GlContext, slope_offset: Float32Array) -> RayTexture:
     """Rays (4, height, width) of a display's pixels as those of their corners, with one cell for each pixel.
 
     Exact for rays that are linear in the pixel; missing where one of the four pixels around a corner is.
@@ -46,7 +54,13 @@ def field_of_pixels(context, slope_offset):
     return uploaded_field(context, corners, WarpGrid.edge_to_edge(Panel(width, height), width + 1, height + 1))
 
 
-def warp_pixels(context, image, slope_offsets, image_from_ray_map=None, **options):
+def warp_pixels(
+    context: GlContext,
+    image: GpuImage,
+    slope_offsets: Sequence[Float32Array],
+    image_from_ray_map: None = None,
+    **options: Any,
+) -> WarpedImage:
     """A `WarpedImage` with its pull map of a `GpuImage`, along rays (4, height, width) of each channel."""
     fields = [field_of_pixels(context, slope_offset) for slope_offset in slope_offsets]
     transform = np.eye(4) if image_from_ray_map is None else image_from_ray_map
@@ -55,6 +69,13 @@ def warp_pixels(context, image, slope_offsets, image_from_ray_map=None, **option
     return drawn.read()
 
 
-def warped(context, image, camera, slope_offsets, image_from_ray_map=None, **options):
+def warped(
+    context: GlContext,
+    image: GeometryImage,
+    camera: Pinhole,
+    slope_offsets: Sequence[Float32Array],
+    image_from_ray_map: None = None,
+    **options: Any,
+) -> WarpedImage:
     """The same of a `GeometryImage`."""
     return warp_pixels(context, uploaded(context, image, camera), slope_offsets, image_from_ray_map, **options)

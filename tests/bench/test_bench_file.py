@@ -2,18 +2,31 @@
 
 from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.bench.bench import (
+    Bench,
+    Clock,
+    EyeballCamera,
+    EyeTracking,
+    Mount,
+    PanelReadout,
+    Stage,
+    Target,
+    Tracking,
+)
 from wlr_render.bench.bench_effects import KINDS
 from wlr_render.bench.bench_file import SECTIONS, load_bench, save_bench
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid
 from wlr_render.io.file_records import attributes
 from wlr_render.io.toml_files import read_toml
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import device_content, load_device
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "bench-session.md"
@@ -46,7 +59,7 @@ pitch_mm = 21.6
 """
 
 
-def written(tmp_path, *changes):
+def written(tmp_path: Path, *changes: tuple[str, str]) -> Path:
     """Path of the file above with some text replaced: (old, new) pairs."""
     text = TOML
     for old, new in changes:
@@ -57,14 +70,17 @@ def written(tmp_path, *changes):
     return path
 
 
-def random_rigid(rng, *shape):
+def random_rigid(rng: np.random.Generator, *shape: int) -> FloatArray:
     count = int(np.prod(shape))
     return rigid(Rotation.random(count, rng=rng).as_matrix(), rng.normal(size=(count, 3))).reshape(*shape, 4, 4)
 
 
-def disturbed(part, rng):
+def disturbed(
+    part: Bench | Clock | EyeTracking | EyeballCamera | Mount | PanelReadout | Stage | Target | Tracking,
+    rng: np.random.Generator,
+) -> Bench | Clock | EyeTracking | EyeballCamera | Mount | PanelReadout | Stage | Target | Tracking:
     """A copy of a bench or of a part of it with every number changed, and rotations for rotations."""
-    changes = {}
+    changes: dict[str, Any] = {}
     for field in fields(part):
         value = getattr(part, field.name)
         if field.name in ("device", "eye", "size_px"):
@@ -85,13 +101,16 @@ def disturbed(part, rng):
     return replace(part, **changes)
 
 
-def plain_bench(device, poses, rng):
+def plain_bench(device: Device, poses: int, rng: np.random.Generator) -> Bench:
     camera = EyeballCamera(np.array([640.0, 480.0]), np.array([700.0, 710.0]), np.array([320.0, 240.0]), 0.1)
     target = Target(random_rigid(rng, poses), np.full(poses, 0.02))
     return Bench(device, "left", camera, Stage(np.array([-0.032, 0.0, -0.033])), target)
 
 
-def assert_same(found, expected):
+def assert_same(
+    found: Bench | Clock | EyeTracking | EyeballCamera | Mount | PanelReadout | Stage | Target | Tracking,
+    expected: Bench | Clock | EyeTracking | EyeballCamera | Mount | PanelReadout | Stage | Target | Tracking,
+) -> None:
     for field in fields(expected):
         a, b = getattr(found, field.name), getattr(expected, field.name)
         if field.name == "device":
@@ -106,14 +125,14 @@ def assert_same(found, expected):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_is_saved_is_loaded(tmp_path, seed):
+def test_what_is_saved_is_loaded(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     bench = disturbed(plain_bench(load_device("northstar"), seed, rng), rng)
     assert_same(load_bench(save_bench(bench, tmp_path / "bench.toml")), bench)
     assert not (tmp_path / "device.toml").exists()
 
 
-def test_a_bench_as_built_is_saved_without_further_keys(tmp_path):
+def test_a_bench_as_built_is_saved_without_further_keys(tmp_path: Path) -> None:
     bench = load_bench(written(tmp_path, ("[target]\nbow_per_m = [[0.1, 0.2]]\n", "")))
     path = save_bench(bench, tmp_path / "again.toml")
     content = read_toml(path)
@@ -122,7 +141,7 @@ def test_a_bench_as_built_is_saved_without_further_keys(tmp_path):
     assert_same(load_bench(path), bench)
 
 
-def test_a_changed_device_is_written_beside_its_bench(tmp_path):
+def test_a_changed_device_is_written_beside_its_bench(tmp_path: Path) -> None:
     bench = load_bench(written(tmp_path))
     optics = bench.optics.with_media(lambda medium: medium.shifted(0.001))
     changed = replace(bench, device=replace(bench.device, eyes=bench.device.eyes | {"right": optics}))
@@ -132,7 +151,7 @@ def test_a_changed_device_is_written_beside_its_bench(tmp_path):
     assert device_content(load_bench(path).device) != device_content(bench.device)
 
 
-def test_units_frame_and_pixels_become_ours(tmp_path):
+def test_units_frame_and_pixels_become_ours(tmp_path: Path) -> None:
     bench = load_bench(written(tmp_path))
     assert bench.eye == "right"
     np.testing.assert_allclose(bench.stage.origin, [0.032, -0.001, -0.033])
@@ -141,7 +160,7 @@ def test_units_frame_and_pixels_become_ours(tmp_path):
     np.testing.assert_allclose(bench.target.pitch, [0.0216])
 
 
-def test_a_point_of_the_bowed_target_is_where_the_file_says(tmp_path):
+def test_a_point_of_the_bowed_target_is_where_the_file_says(tmp_path: Path) -> None:
     target = load_bench(written(tmp_path)).target
     x, y = 0.3, 0.4
     rotation = np.array([[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]])
@@ -150,14 +169,14 @@ def test_a_point_of_the_bowed_target_is_where_the_file_says(tmp_path):
     np.testing.assert_allclose(target.device_from_target[0] @ ours, [*(in_file * [1, -1, -1]), 1.0], atol=1e-15)
 
 
-def test_in_the_openxr_frame_numbers_are_as_in_the_file(tmp_path):
+def test_in_the_openxr_frame_numbers_are_as_in_the_file(tmp_path: Path) -> None:
     bench = load_bench(written(tmp_path, ('"opencv"', '"openxr"')))
     np.testing.assert_allclose(bench.stage.origin, [0.032, 0.001, 0.033])
     np.testing.assert_allclose(bench.target.device_from_target[0, 1], [0, 0.8, -0.6, 0.002])
     np.testing.assert_allclose(bench.target.bow, [[0.1, 0.2]])
 
 
-def test_priors_are_pairs_or_tables(tmp_path):
+def test_priors_are_pairs_or_tables(tmp_path: Path) -> None:
     stated = "[prior.a]\nx = [1, 2]\ny = {mean = 3, sigma = 4}\n[prior.b]\nz = {sigma = 0.5}\n[target]"
     bench = load_bench(written(tmp_path, ("[target]", stated)))
     assert bench.priors == {"a": {"x": (1.0, 2.0), "y": (3.0, 4.0)}, "b": {"z": (0.0, 0.5)}}
@@ -183,7 +202,7 @@ ON_STAGE = EFFECT.replace('"time"', '"stage"').replace('"shift"', '"pose"')
 ON_STAGE = ON_STAGE.replace("[0]", "[0, 0, 0]").replace("[5]", "[9, 9, 9]")
 
 
-def with_covariance(rows):
+def with_covariance(rows: str) -> str:
     return EFFECT.replace("[target]", f"covariance = {rows}\n[target]")
 
 
@@ -279,7 +298,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_are_one_sentence_that_names_file_and_key(tmp_path, fault):
+def test_faults_are_one_sentence_that_names_file_and_key(tmp_path: Path, fault: str) -> None:
     old, new, sentence = FAULTS[fault]
     path = written(tmp_path, (old, new))
     with pytest.raises(BadInputError) as caught:
@@ -288,7 +307,7 @@ def test_faults_are_one_sentence_that_names_file_and_key(tmp_path, fault):
     assert sentence in str(caught.value)
 
 
-def test_the_documentation_has_every_key():
+def test_the_documentation_has_every_key() -> None:
     lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
     rows = [line.split(" | ") for line in lines if line.startswith("| `[")]
     documented = [(table, keys, meaning.startswith("optional; ")) for table, keys, meaning in rows]
@@ -299,7 +318,7 @@ def test_the_documentation_has_every_key():
     ]
 
 
-def test_the_documentation_has_every_effect():
+def test_the_documentation_has_every_effect() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
     for (station, displaces), kind in KINDS.items():
         (row,) = (

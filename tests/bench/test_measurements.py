@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 from oracle.captures import Plan
 from oracle.effects import Effect
 from oracle.session_writer import write_session
+from present import present
 
 from wlr_render.bench.measurements import load_measurements
 from wlr_render.bench.session_captures import captures_of
@@ -17,9 +19,11 @@ from wlr_render.captures.capture_file import load_observations
 from wlr_render.captures.correspondences import Captures
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.report import Diagnosis
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rotation_about
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.capture_setup import CaptureSetup
@@ -31,7 +35,7 @@ quick = partial(diagnose, causes=FEW, settings=Settings(subsample=1500))
 
 
 @pytest.fixture(scope="module")
-def printed(tmp_path_factory):
+def printed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a bench session whose target was printed too large."""
     folder = tmp_path_factory.mktemp("bench") / "printed"
     effect = Effect("target_scale", {"scale_percent": SCALE_PERCENT})
@@ -40,13 +44,13 @@ def printed(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def captures(printed, tmp_path_factory):
+def captures(printed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Capture file of the same session."""
     path = tmp_path_factory.mktemp("captures") / "captures-right.npz"
     return captures_of(*load_session(printed)).save(path)
 
 
-def assert_same_diagnosis(found, expected):
+def assert_same_diagnosis(found: Diagnosis, expected: Diagnosis) -> None:
     assert found.verdict == expected.verdict
     assert [cause.name for cause in found.causes] == [cause.name for cause in expected.causes]
     for a, b in zip(found.causes, expected.causes, strict=True):
@@ -58,17 +62,20 @@ def assert_same_diagnosis(found, expected):
 
 
 @pytest.mark.slow
-def test_captures_are_diagnosed_as_the_session_that_they_were_made_of(printed, captures):
+def test_captures_are_diagnosed_as_the_session_that_they_were_made_of(printed: Path, captures: Path) -> None:
     expected = quick(*load_session(printed))
     assert [cause.name for cause in expected.causes] == ["target_scale"]
     found = quick(*load_measurements(captures, printed / "bench.toml"))
     assert_same_diagnosis(found, expected)
 
 
-def test_by_the_device_alone_the_cause_is_named_with_its_size(captures):
+def test_by_the_device_alone_the_cause_is_named_with_its_size(captures: Path) -> None:
     bench, session = load_measurements(captures)
     np.testing.assert_allclose(1.0 / bench.camera.focal_px, np.radians(1 / 60))
-    assert np.all((session.plan.display.camera_pixel > 0) & (session.plan.display.camera_pixel < bench.camera.size_px))
+    assert np.all(
+        (present(session.plan.display).camera_pixel > 0)
+        & (present(session.plan.display).camera_pixel < bench.camera.size_px)
+    )
     found = quick(bench, session)
     (cause,) = found.causes
     assert (cause.name, found.verdict) == ("target_scale", "explained")
@@ -77,7 +84,7 @@ def test_by_the_device_alone_the_cause_is_named_with_its_size(captures):
 
 
 @pytest.fixture(scope="module")
-def repeated(tmp_path_factory):
+def repeated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Capture file of a headset that is as it should be, on a stage that repeats to 5 um and 20 urad."""
     truth, rng = traced_eye(load_device("northstar"), "right"), np.random.default_rng(3)
     setup = CaptureSetup(truth, 0.25, 5e-6, grid=(9, 8), stage_turn_rad=20e-6)
@@ -86,14 +93,14 @@ def repeated(tmp_path_factory):
     return table.save(tmp_path_factory.mktemp("repeated") / "captures-right.npz")
 
 
-def test_an_imperfect_stage_is_judged_alike_from_captures_and_from_a_session(repeated, tmp_path):
+def test_an_imperfect_stage_is_judged_alike_from_captures_and_from_a_session(repeated: Path, tmp_path: Path) -> None:
     bench, session = load_measurements(repeated, device="northstar")
     found = quick(bench, session)
     assert_same_diagnosis(found, quick(*load_session(save_session(tmp_path / "session", bench, session))))
-    assert not session.plan.display.time_s.any()
+    assert not present(session.plan.display).time_s.any()
 
 
-def test_the_bench_of_captures_predicts_what_exact_captures_hold(tmp_path):
+def test_the_bench_of_captures_predicts_what_exact_captures_hold(tmp_path: Path) -> None:
     truth, rng = traced_eye(load_device("northstar"), "right"), np.random.default_rng(3)
     setup = CaptureSetup(truth, grid=(5, 4))
     positions = setup.camera_positions("volumetric", 6)
@@ -106,21 +113,23 @@ def test_the_bench_of_captures_predicts_what_exact_captures_hold(tmp_path):
         path = Captures(*parts).save(tmp_path / "captures-right.npz")
         bench, session = load_measurements(path)
         predicted = simulate(bench, session.plan)
-        np.testing.assert_allclose(predicted.panel_pixel, session.readings.panel_pixel, atol=1e-6)
-        np.testing.assert_allclose(predicted.dot_pixel, session.readings.dot_pixel, atol=1e-6)
+        assert predicted.panel_pixel is not None
+        np.testing.assert_allclose(predicted.panel_pixel, present(session.readings.panel_pixel), atol=1e-6)
+        assert predicted.dot_pixel is not None
+        np.testing.assert_allclose(predicted.dot_pixel, present(session.readings.dot_pixel), atol=1e-6)
         again_bench, again = load_session(save_session(tmp_path / "again", bench, session))
         predicted = simulate(again_bench, again.plan)
-        np.testing.assert_allclose(predicted.panel_pixel, again.readings.panel_pixel, atol=1e-6)
-        np.testing.assert_allclose(predicted.dot_pixel, again.readings.dot_pixel, atol=1e-6)
+        np.testing.assert_allclose(present(predicted.panel_pixel), present(again.readings.panel_pixel), atol=1e-6)
+        np.testing.assert_allclose(present(predicted.dot_pixel), present(again.readings.dot_pixel), atol=1e-6)
 
 
-def _by_capture(*captures):
+def _by_capture(*captures: IntArray) -> tuple[FloatArray, FloatArray]:
     """A rotation of the camera for each row, one for each camera position."""
     turns = np.stack([rotation_about("x", angle) for angle in np.linspace(-0.1, 0.1, 6)])
     return tuple(turns[each] for each in captures)
 
 
-def test_targets_that_are_not_flat_keep_their_shape(repeated, tmp_path):
+def test_targets_that_are_not_flat_keep_their_shape(repeated: Path, tmp_path: Path) -> None:
     shown, seen = load_observations(repeated).both
     lifted = seen.point + [0, 0, 0.001] * np.cos(300 * seen.point[:, :1])
     own = np.column_stack([seen.point[:, 1], -seen.point[:, 0], lifted[:, 2] - seen.point[:, 2]]) + [0.3, 0.0, 0.01]
@@ -129,7 +138,8 @@ def test_targets_that_are_not_flat_keep_their_shape(repeated, tmp_path):
         path = Captures(shown, changed).save(tmp_path / "captures-right.npz")
         bench, session = load_measurements(path)
         plan = session.plan.see_through
-        assert plan.height.std() > 3e-4
+        assert plan is not None
+        assert present(plan.height).std() > 3e-4
         at = np.column_stack([plan.dot, plan.height])
         pose = bench.target.device_from_target[plan.target_pose]
         np.testing.assert_allclose(np.einsum("nij,nj->ni", pose[:, :3, :3], at) + pose[:, :3, 3], lifted, atol=1e-12)
@@ -137,7 +147,7 @@ def test_targets_that_are_not_flat_keep_their_shape(repeated, tmp_path):
             np.testing.assert_allclose(at, own, atol=1e-9)
 
 
-def test_a_calibrations_folder_has_the_captures_of_one_eye(captures, printed, tmp_path):
+def test_a_calibrations_folder_has_the_captures_of_one_eye(captures: Path, printed: Path, tmp_path: Path) -> None:
     folder = tmp_path / "calibrated"
     folder.mkdir()
     (folder / "captures-right.npz").write_bytes(captures.read_bytes())
@@ -148,7 +158,7 @@ def test_a_calibrations_folder_has_the_captures_of_one_eye(captures, printed, tm
     assert load_measurements(folder, printed / "bench.toml")[0].eye == "right"
 
 
-def test_benches_and_devices_that_do_not_fit_are_refused(captures, printed, tmp_path):
+def test_benches_and_devices_that_do_not_fit_are_refused(captures: Path, printed: Path, tmp_path: Path) -> None:
     for arguments, words in (
         ((printed, None, "northstar"), "so --device does not apply"),
         ((captures, printed / "bench.toml", "northstar"), "give one of them"),
@@ -165,7 +175,7 @@ def test_benches_and_devices_that_do_not_fit_are_refused(captures, printed, tmp_
         load_measurements(other, None, "birdbath28")
 
 
-def _other_device(printed, folder):
+def _other_device(printed: Path, folder: Path) -> Path:
     """The bench of a session, with another headset."""
     text = (printed / "bench.toml").read_text().replace('"northstar"', '"birdbath28"')
     (folder / "bench.toml").write_text(text)

@@ -1,9 +1,12 @@
 """What calibration is given is, by the bench that is believed, where light truly goes."""
 
+from collections.abc import Callable
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 from scipy.spatial.transform import Rotation
 
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
@@ -23,7 +26,7 @@ TURN = Rotation.from_rotvec([0.01, -0.02, 0.015]).as_matrix()
 
 
 @pytest.fixture(scope="module")
-def bench():
+def bench() -> Bench:
     camera = EyeballCamera(np.array([1280.0, 1024.0]), np.array([1350.0, 1340.0]), np.array([640.5, 512.5]), 0.1)
     poses = rigid(np.eye(3), np.array([[0.03, 0.0, -0.6], [0.03, 0.0, -1.1]]))
     stage = Stage(np.array([0.032, 0.0, -0.033]))
@@ -31,7 +34,7 @@ def bench():
 
 
 @pytest.fixture(scope="module")
-def plan(bench):
+def plan(bench: Bench) -> SessionPlan:
     rng = np.random.default_rng(3)
     capture = np.repeat(np.arange(CAPTURES), ROWS)
     stage = (bench.stage.origin + rng.uniform(-0.003, 0.003, (CAPTURES, 3)))[capture]
@@ -44,31 +47,31 @@ def plan(bench):
     return SessionPlan(display, see_through)
 
 
-def nothing(bench):
+def nothing(bench: Bench) -> Bench:
     return bench
 
 
-def camera(**changes):
+def camera(**changes: Any) -> Callable[..., Any]:
     return lambda bench: replace(bench, camera=replace(bench.camera, **changes))
 
 
-def stage(**changes):
+def stage(**changes: Any) -> Callable[..., Any]:
     return lambda bench: replace(bench, stage=replace(bench.stage, **changes))
 
 
-def target(**changes):
+def target(**changes: Any) -> Callable[..., Any]:
     return lambda bench: replace(bench, target=replace(bench.target, **changes))
 
 
-def mount(**changes):
+def mount(**changes: Any) -> Callable[..., Any]:
     return lambda bench: replace(bench, mount=replace(bench.mount, **changes))
 
 
-def readout(**changes):
+def readout(**changes: Any) -> Callable[..., Any]:
     return lambda bench: replace(bench, readout=replace(bench.readout, **changes))
 
 
-def tracking(bench):
+def tracking(bench: Bench) -> Bench:
     return replace(bench, tracking=replace(bench.tracking, true_from_reported=rigid(TURN, np.array([1e-3, 0, 2e-3]))))
 
 
@@ -91,26 +94,34 @@ DISTURBANCES = {
 
 
 @pytest.mark.parametrize("disturbance", [*DISTURBANCES, "all"])
-def test_captures_of_a_bench_that_is_right_are_where_its_optics_send_light(bench, plan, disturbance):
+def test_captures_of_a_bench_that_is_right_are_where_its_optics_send_light(
+    bench: Bench, plan: SessionPlan, disturbance: str
+) -> None:
     changes = DISTURBANCES.values() if disturbance == "all" else [DISTURBANCES[disturbance]]
     for change in changes:
         bench = change(bench)
     captures = captures_of(bench, Session("noise-free", plan, simulate(bench, plan))).in_colour()
     display, world = captures.display, captures.see_through
+    assert display is not None
     shown, _ = TracedDisplay(bench.optics, bench.wavelengths_um[1]).plane_pixel(display.view_dir, display.viewpoint)
     np.testing.assert_allclose(shown, display.pixel, atol=1e-8)
     seen = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
+    assert world is not None
     assert arcmin_between(seen.view_dir_of_real_point(world.point, world.viewpoint).value, world.view_dir).max() < 1e-5
-    assert len(display) == len(plan.display) // 3
-    assert len(world) == len(plan.see_through)
+    assert len(display) == len(present(plan.display)) // 3
+    assert len(world) == len(present(plan.see_through))
 
 
 @pytest.mark.parametrize("disturbance", [*DISTURBANCES, "all"])
-def test_observations_become_the_session_that_they_were_made_of(bench, plan, disturbance):
+def test_observations_become_the_session_that_they_were_made_of(
+    bench: Bench, plan: SessionPlan, disturbance: str
+) -> None:
     for change in DISTURBANCES.values() if disturbance == "all" else [DISTURBANCES[disturbance]]:
         bench = change(bench)
     rng = np.random.default_rng(7)
+    assert plan.display is not None
     turned = Rotation.from_rotvec(rng.normal(0, 0.02, (len(plan.display), 3))).as_matrix()
+    assert plan.see_through is not None
     height = rng.normal(0, 1e-3, len(plan.see_through))
     plan = replace(
         plan,
@@ -125,23 +136,26 @@ def test_observations_become_the_session_that_they_were_made_of(bench, plan, dis
             assert (a is None) == (b is None), field.name
             if b is not None:
                 np.testing.assert_allclose(a, b, atol=1e-11, err_msg=field.name)
-    np.testing.assert_allclose(found.readings.panel_pixel, session.readings.panel_pixel, atol=1e-9)
-    np.testing.assert_allclose(found.readings.dot_pixel, session.readings.dot_pixel, atol=1e-8)
+    np.testing.assert_allclose(present(found.readings.panel_pixel), present(session.readings.panel_pixel), atol=1e-9)
+    np.testing.assert_allclose(present(found.readings.dot_pixel), present(session.readings.dot_pixel), atol=1e-8)
 
 
-def test_sigmas_of_readings_become_those_of_captures_and_back(bench, plan):
+def test_sigmas_of_readings_become_those_of_captures_and_back(bench: Bench, plan: SessionPlan) -> None:
+    assert plan.display is not None
     sigma_px = np.random.default_rng(8).uniform(0.05, 0.3, (2, len(plan.display)))
-    stated = SessionPlan(replace(plan.display, sigma_px=sigma_px[0]), replace(plan.see_through, sigma_px=sigma_px[1]))
+    stated = SessionPlan(
+        replace(plan.display, sigma_px=sigma_px[0]), replace(present(plan.see_through), sigma_px=sigma_px[1])
+    )
     session = Session("night", stated, simulate(bench, plan))
     table, uniform = captures_of(bench, session), captures_of(bench, replace(session, plan=plan))
     for part, same, sigma in zip(table.both, uniform.both, sigma_px, strict=True):
         np.testing.assert_allclose(part.sigma_arcmin / same.sigma_arcmin, sigma / bench.camera.point_sigma_px)
     found = session_of(bench, table, "night").plan
-    np.testing.assert_allclose(found.display.sigma_px, sigma_px[0])
-    np.testing.assert_allclose(found.see_through.sigma_px, sigma_px[1])
+    np.testing.assert_allclose(present(present(found.display).sigma_px), sigma_px[0])
+    np.testing.assert_allclose(present(present(found.see_through).sigma_px), sigma_px[1])
 
 
-def test_observations_of_another_eye_or_beside_the_targets_are_refused(bench, plan):
+def test_observations_of_another_eye_or_beside_the_targets_are_refused(bench: Bench, plan: SessionPlan) -> None:
     table = captures_of(bench, Session("night", plan, simulate(bench, plan)))
     with pytest.raises(BadInputError, match=r"night: the captures are of northstar \(right eye\), the bench is of"):
         session_of(replace(bench, eye="left"), table, "night")
@@ -159,7 +173,7 @@ def test_observations_of_another_eye_or_beside_the_targets_are_refused(bench, pl
 
 
 @pytest.mark.parametrize("disturbance", [name for name in DISTURBANCES if name != "nothing"])
-def test_a_bench_that_is_wrong_gives_other_captures(bench, plan, disturbance):
+def test_a_bench_that_is_wrong_gives_other_captures(bench: Bench, plan: SessionPlan, disturbance: str) -> None:
     session = Session("noise-free", plan, simulate(bench, plan))
     believed, true = captures_of(DISTURBANCES[disturbance](bench), session), captures_of(bench, session)
     parts = ((believed.display, true.display), (believed.see_through, true.see_through))
@@ -173,28 +187,33 @@ def test_a_bench_that_is_wrong_gives_other_captures(bench, plan, disturbance):
     assert any(differ)
 
 
-def test_a_camera_that_was_turned_and_dots_on_the_bare_cameras_rays(bench, plan):
+def test_a_camera_that_was_turned_and_dots_on_the_bare_cameras_rays(bench: Bench, plan: SessionPlan) -> None:
+    assert plan.see_through is not None
     count = len(plan.see_through)
     turned = Rotation.from_rotvec(np.random.default_rng(5).normal(0, 0.02, (count, 3))).as_matrix()
-    rows = replace(plan.see_through, orientation=turned, bare_pixel=plan.display.camera_pixel)
+    rows = replace(plan.see_through, orientation=turned, bare_pixel=present(plan.display).camera_pixel)
     bench = DISTURBANCES["camera rotation"](DISTURBANCES["tracking"](bench))
-    captures = see_through_captures(bench, rows, simulate(bench, SessionPlan(see_through=rows)).dot_pixel)
+    captures = see_through_captures(
+        bench, present(rows), present(simulate(bench, SessionPlan(see_through=rows)).dot_pixel)
+    )
     seen = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
     answer = seen.view_dir_of_real_point(captures.point, captures.viewpoint).value
     assert arcmin_between(answer, captures.view_dir).max() < 1e-5
 
 
-def test_photographs_are_numbered_on_from_pose_to_pose(bench, plan):
+def test_photographs_are_numbered_on_from_pose_to_pose(bench: Bench, plan: SessionPlan) -> None:
     world = captures_of(bench, Session("night", plan, simulate(bench, plan))).see_through
+    assert world is not None
     for number in np.unique(world.capture):
         rows = world.capture == number
-        assert len(np.unique(plan.see_through.stage[rows], axis=0)) == 1
+        assert len(np.unique(present(plan.see_through).stage[rows], axis=0)) == 1
         assert len(np.unique(world.target_pose[rows])) == 1
     assert len(np.unique(world.capture)) == CAPTURES
 
 
-def test_sigma_is_the_angle_of_a_camera_pixel(bench, plan):
+def test_sigma_is_the_angle_of_a_camera_pixel(bench: Bench, plan: SessionPlan) -> None:
     captures = captures_of(bench, Session("night", plan, simulate(bench, plan))).in_colour()
+    assert plan.display is not None
     green = plan.display.channel == 1
     pixel = plan.display.camera_pixel[green]
     tangents = (pixel - bench.camera.centre_px) / (bench.camera.focal_px * [1, -1])
@@ -203,28 +222,30 @@ def test_sigma_is_the_angle_of_a_camera_pixel(bench, plan):
         for step in (np.array([0.5 / 1350, 0]), np.array([0, 0.5 / 1340]))
     )
     per_pixel = np.sqrt(right * up)
+    assert captures.display is not None
     np.testing.assert_allclose(captures.display.sigma_arcmin, 0.1 * per_pixel, rtol=2e-3)
     assert captures.display.sigma_arcmin.max() < 0.1 / 1340.0 / ARCMIN
 
 
-def test_readings_that_are_missing_are_left_out(bench, plan):
+def test_readings_that_are_missing_are_left_out(bench: Bench, plan: SessionPlan) -> None:
     readings = simulate(bench, plan)
-    panel, dot = readings.panel_pixel.copy(), readings.dot_pixel.copy()
+    panel, dot = present(readings.panel_pixel).copy(), present(readings.dot_pixel).copy()
     panel[1], dot[:2, 0] = np.nan, np.nan
     captures = captures_of(bench, Session("night", plan, Readings(panel, dot))).in_colour()
-    assert len(captures.display) == CAPTURES * ROWS // 3 - 1
-    assert len(captures.see_through) == CAPTURES * ROWS - 2
+    assert len(present(captures.display)) == CAPTURES * ROWS // 3 - 1
+    assert len(present(captures.see_through)) == CAPTURES * ROWS - 2
 
 
-def test_one_channel_alone_is_taken_whichever_it_is(bench, plan):
+def test_one_channel_alone_is_taken_whichever_it_is(bench: Bench, plan: SessionPlan) -> None:
+    assert plan.display is not None
     red = replace(plan.display, channel=np.zeros_like(plan.display.channel))
     alone = SessionPlan(red)
     captures = captures_of(bench, Session("red", alone, simulate(bench, alone))).in_colour()
-    assert len(captures.display) == len(red)
+    assert len(present(captures.display)) == len(present(red))
     assert captures.see_through is None
 
 
-def test_a_session_without_a_display_table_gives_see_through_alone(bench, plan):
+def test_a_session_without_a_display_table_gives_see_through_alone(bench: Bench, plan: SessionPlan) -> None:
     alone = SessionPlan(see_through=plan.see_through)
     captures = captures_of(bench, Session("night", alone, simulate(bench, alone)))
     assert captures.display is None

@@ -1,10 +1,13 @@
 """Session folders: saved and loaded alike, checked against their bench, and in agreement with a measured session."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 from scipy.spatial.transform import Rotation
 
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
@@ -31,7 +34,7 @@ CAPTURES, ROWS = 4, 20
 
 
 @pytest.fixture(scope="module")
-def bench():
+def bench() -> Bench:
     camera = EyeballCamera(
         np.array([1280.0, 1024.0]),
         np.array([1350.0, 1340.0]),
@@ -51,7 +54,7 @@ def bench():
 
 
 @pytest.fixture(scope="module")
-def session(bench):
+def session(bench: Bench) -> Session:
     rng = np.random.default_rng(8)
     capture = np.repeat(np.arange(CAPTURES), ROWS)
     time_s = 40.0 * capture
@@ -73,7 +76,10 @@ def session(bench):
     return Session("night", plan, simulate(bench, plan))
 
 
-def assert_same(found, expected):
+def assert_same(
+    found: DisplayPlan | Readings | RunTimePlan | SeeThroughPlan,
+    expected: DisplayPlan | Readings | RunTimePlan | SeeThroughPlan,
+) -> None:
     for field in fields(expected):
         a, b = getattr(found, field.name), getattr(expected, field.name)
         assert (a is None) == (b is None), field.name
@@ -81,8 +87,8 @@ def assert_same(found, expected):
             np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11, err_msg=field.name)
 
 
-def test_what_is_saved_is_loaded_but_for_rows_without_a_reading(tmp_path, bench, session):
-    assert np.isfinite(session.readings.run_time_pixel).all(axis=1).mean() > 0.5
+def test_what_is_saved_is_loaded_but_for_rows_without_a_reading(tmp_path: Path, bench: Bench, session: Session) -> None:
+    assert np.isfinite(present(session.readings.run_time_pixel)).all(axis=1).mean() > 0.5
     seen = {
         name: np.isfinite(getattr(session.readings, name)).all(axis=1)
         for name in ("panel_pixel", "dot_pixel", "run_time_pixel")
@@ -97,13 +103,15 @@ def test_what_is_saved_is_loaded_but_for_rows_without_a_reading(tmp_path, bench,
         )
 
 
-def test_a_loaded_bench_predicts_what_was_saved(tmp_path, bench, session):
+def test_a_loaded_bench_predicts_what_was_saved(tmp_path: Path, bench: Bench, session: Session) -> None:
     loaded_bench, loaded = load_session(save_session(tmp_path, bench, session))
     assert_same(simulate(loaded_bench, loaded.plan), loaded.readings)
 
 
-def test_run_time_pixels_are_written_as_measured_whatever_camera_is_saved_with_them(tmp_path, bench, session):
-    rows = np.isfinite(session.readings.run_time_pixel).all(axis=1)
+def test_run_time_pixels_are_written_as_measured_whatever_camera_is_saved_with_them(
+    tmp_path: Path, bench: Bench, session: Session
+) -> None:
+    rows = np.isfinite(present(session.readings.run_time_pixel)).all(axis=1)
     measured = np.random.default_rng(3).uniform(100, 1100, (rows.sum(), 4)).round(3)
     plan = SessionPlan(run_time=select_rows(session.plan.run_time, rows))
     save_session(tmp_path / "measured", bench, Session("night", plan, Readings(run_time_pixel=measured)))
@@ -117,12 +125,12 @@ def test_run_time_pixels_are_written_as_measured_whatever_camera_is_saved_with_t
         np.testing.assert_array_equal(found, (measured - 0.5).round(3))
 
 
-def only_display(session, **changes):
-    plan = replace(session.plan.display, **changes)
+def only_display(session: Session, **changes: Any) -> Session:
+    plan = replace(present(session.plan.display), **changes)
     return Session(session.name, SessionPlan(display=plan), Readings(panel_pixel=session.readings.panel_pixel))
 
 
-def test_a_session_may_have_one_table_and_no_stale_ones(tmp_path, bench, session):
+def test_a_session_may_have_one_table_and_no_stale_ones(tmp_path: Path, bench: Bench, session: Session) -> None:
     save_session(tmp_path, bench, only_display(session))
     assert load_session(tmp_path)[1].plan.see_through is None
     save_session(tmp_path, bench, session)
@@ -130,7 +138,7 @@ def test_a_session_may_have_one_table_and_no_stale_ones(tmp_path, bench, session
         save_session(tmp_path, bench, only_display(session))
 
 
-def test_a_folder_without_tables_or_with_one_twice_is_refused(tmp_path, bench, session):
+def test_a_folder_without_tables_or_with_one_twice_is_refused(tmp_path: Path, bench: Bench, session: Session) -> None:
     save_session(tmp_path, bench, only_display(session))
     packed = tmp_path / "display.csv.gz"
     packed.with_suffix("").write_text("", encoding="utf-8")
@@ -170,8 +178,10 @@ def test_a_folder_without_tables_or_with_one_twice_is_refused(tmp_path, bench, s
     ],
     ids=["micrometres", "metres", "one axis in metres", "camera pixel", "one camera pixel", "sigma"],
 )
-def test_readings_that_the_bench_cannot_have_taken_are_refused(tmp_path, bench, session, damage, sentence):
-    damaged = replace(session.plan.display, **damage(session.plan.display))
+def test_readings_that_the_bench_cannot_have_taken_are_refused(
+    tmp_path: Path, bench: Bench, session: Session, damage: Callable[..., Any], sentence: str
+) -> None:
+    damaged = replace(present(session.plan.display), **damage(session.plan.display))
     save_session(tmp_path, bench, replace(session, plan=replace(session.plan, display=damaged)))
     with pytest.raises(BadInputError, match=sentence):
         load_session(tmp_path)
@@ -196,13 +206,15 @@ def test_readings_that_the_bench_cannot_have_taken_are_refused(tmp_path, bench, 
         ),
     ],
 )
-def test_benches_that_nobody_has_are_refused(tmp_path, bench, session, part, changes, sentence):
+def test_benches_that_nobody_has_are_refused(
+    tmp_path: Path, bench: Bench, session: Session, part: str, changes: Mapping[str, Any], sentence: str
+) -> None:
     save_session(tmp_path, replace(bench, **{part: replace(getattr(bench, part), **changes)}), session)
     with pytest.raises(BadInputError, match=sentence):
         load_session(tmp_path)
 
 
-def test_a_camera_on_the_other_side_of_the_head_is_refused(tmp_path, bench, session):
+def test_a_camera_on_the_other_side_of_the_head_is_refused(tmp_path: Path, bench: Bench, session: Session) -> None:
     save_session(tmp_path, bench, session)
     file = tmp_path / "bench.toml"
     file.write_text(file.read_text(encoding="utf-8").replace('eye = "right"', 'eye = "left"'), encoding="utf-8")
@@ -210,15 +222,15 @@ def test_a_camera_on_the_other_side_of_the_head_is_refused(tmp_path, bench, sess
         load_session(tmp_path)
 
 
-def test_a_link_that_leads_nowhere_is_not_a_table_left_out(tmp_path, bench, session):
+def test_a_link_that_leads_nowhere_is_not_a_table_left_out(tmp_path: Path, bench: Bench, session: Session) -> None:
     save_session(tmp_path, bench, only_display(session))
     (tmp_path / "seethrough.csv").symlink_to("seethrough.csv")
     with pytest.raises(BadInputError, match=r"seethrough\.csv: cannot be read"):
         load_session(tmp_path)
 
 
-def test_a_panel_of_another_device_is_refused(tmp_path, bench, session):
-    beside = Readings(panel_pixel=session.readings.panel_pixel + [5000.0, 0.0])
+def test_a_panel_of_another_device_is_refused(tmp_path: Path, bench: Bench, session: Session) -> None:
+    beside = Readings(panel_pixel=present(session.readings.panel_pixel) + [5000.0, 0.0])
     save_session(tmp_path, bench, replace(only_display(session), readings=beside))
     with pytest.raises(
         BadInputError, match=r"northstar, display table: 100.0% of the panel pixels are outside the panel"
@@ -226,14 +238,14 @@ def test_a_panel_of_another_device_is_refused(tmp_path, bench, session):
         load_session(tmp_path)
 
 
-def test_a_pose_that_the_bench_does_not_have_is_refused(tmp_path, bench, session):
+def test_a_pose_that_the_bench_does_not_have_is_refused(tmp_path: Path, bench: Bench, session: Session) -> None:
     target = Target(bench.target.device_from_target[:1], bench.target.pitch[:1])
     save_session(tmp_path, replace(bench, target=target), session)
     with pytest.raises(BadInputError, match=r"names target_pose 1, but its bench has 1 \[\[target_pose\]\]"):
         load_session(tmp_path)
 
 
-def test_captures_to_hold_out_are_counted_over_all_tables(session):
+def test_captures_to_hold_out_are_counted_over_all_tables(session: Session) -> None:
     check_enough_captures(session)
     with pytest.raises(BadInputError, match=r"night: has 4 captures, too few captures to hold any out"):
         check_enough_captures(only_display(session))
@@ -242,25 +254,28 @@ def test_captures_to_hold_out_are_counted_over_all_tables(session):
 @pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured sessions are not beside this checkout")
 class TestMeasured:
     @pytest.mark.parametrize("name", [f"M{number}" for number in range(1, 7)])
-    def test_every_measured_session_loads(self, name):
+    def test_every_measured_session_loads(self, name: str) -> None:
         _, session = load_session(MEASURED / name)
-        assert len(np.unique(session.plan.display.capture)) == 48
-        assert len(session.plan.see_through) == 15120
+        assert len(np.unique(present(session.plan.display).capture)) == 48
+        assert len(present(session.plan.see_through)) == 15120
 
-    def test_the_session_with_nothing_wrong_is_predicted_to_its_noise(self):
+    def test_the_session_with_nothing_wrong_is_predicted_to_its_noise(self) -> None:
         """The noise of a decoded panel position is the camera's, carried to the panel."""
         bench, session = load_session(MEASURED / "M3")
         found = simulate(bench, session.plan)
         sigma_px = bench.camera.point_sigma_px
-        off_target = session.readings.dot_pixel - found.dot_pixel
+        off_target = present(session.readings.dot_pixel) - present(found.dot_pixel)
         assert np.sqrt(np.mean(off_target**2)) == pytest.approx(sigma_px, rel=0.02)
         variance = np.zeros_like(found.panel_pixel)
         for step in ([0.5, 0.0], [0.0, 0.5]):
+            assert session.plan.display is not None
             low, high = (
                 replace(session.plan.display, camera_pixel=session.plan.display.camera_pixel + sign * np.array(step))
                 for sign in (-1, 1)
             )
-            slope = simulate(bench, SessionPlan(high)).panel_pixel - simulate(bench, SessionPlan(low)).panel_pixel
+            slope = present(simulate(bench, SessionPlan(high)).panel_pixel) - present(
+                simulate(bench, SessionPlan(low)).panel_pixel
+            )
             variance += (sigma_px * slope) ** 2
-        off_panel = (session.readings.panel_pixel - found.panel_pixel) / np.sqrt(variance)
+        off_panel = (present(session.readings.panel_pixel) - present(found.panel_pixel)) / np.sqrt(variance)
         assert np.sqrt(np.mean(off_panel**2)) == pytest.approx(1.0, rel=0.02)

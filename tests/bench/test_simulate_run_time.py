@@ -1,15 +1,18 @@
 """Where the virtual and the real dot are seen while the glasses run, on devices whose picture has a closed form."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 
 from wlr_render.bench.bench import Bench, Clock, EyeballCamera, EyeTracking, Stage, Target
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import RunTimePlan, SessionPlan
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 
 ROWS = 40
@@ -17,14 +20,20 @@ IMAGE = 0.08
 """Distance of the virtual image of the flat mirror from the middle of its eye box, metres."""
 
 
-def bench_with(device):
+def bench_with(device: str) -> Bench:
     loaded = load_device(device)
     middle = loaded.eyes["right"].eye_box.centre
     camera = EyeballCamera(np.array([1280.0, 1024.0]), np.full(2, 1000.0), np.array([640.0, 512.0]), 0.1)
     return Bench(loaded, "right", camera, Stage(middle), Target(np.zeros((0, 4, 4)), np.zeros(0)))
 
 
-def plan_for(bench, depth_m, tangents=(-0.15, 0.15), velocity=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0)):
+def plan_for(
+    bench: Bench,
+    depth_m: float,
+    tangents: tuple[float, float] = (-0.15, 0.15),
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    rate: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> RunTimePlan:
     """Dots at a depth before the middle of the eye box; head poses at random, rates given in the device's axes."""
     rng = np.random.default_rng(9)
     middle = bench.stage.origin
@@ -39,14 +48,14 @@ def plan_for(bench, depth_m, tangents=(-0.15, 0.15), velocity=(0.0, 0.0, 0.0), r
     )
 
 
-def seen(bench, plan):
+def seen(bench: Bench, plan: RunTimePlan) -> tuple[FloatArray, FloatArray]:
     """Tangents (n, 2) of the virtual and of the real dot."""
     pixel = simulate(bench, SessionPlan(run_time=plan)).run_time_pixel
-    return bench.camera.tangents_of_pixel(pixel[:, :2]), bench.camera.tangents_of_pixel(pixel[:, 2:])
+    return bench.camera.tangents_of_pixel(present(pixel)[:, :2]), bench.camera.tangents_of_pixel(present(pixel)[:, 2:])
 
 
 @pytest.mark.parametrize("device", ["no_optics", "flat_mirror", "northstar", "birdbath28"])
-def test_with_nothing_wrong_the_virtual_dot_covers_the_real_one(device):
+def test_with_nothing_wrong_the_virtual_dot_covers_the_real_one(device: str) -> None:
     bench = bench_with(device)
     below = -0.3 if device == "northstar" else -0.05
     plan = plan_for(bench, 0.7, (below, below + 0.1), (0.3, 0.2, -0.1), (0.5, -0.4, 0.3))
@@ -55,7 +64,7 @@ def test_with_nothing_wrong_the_virtual_dot_covers_the_real_one(device):
     np.testing.assert_allclose(virtual, real, atol=1e-9)
 
 
-def test_the_real_dot_is_seen_where_it_is():
+def test_the_real_dot_is_seen_where_it_is() -> None:
     bench = bench_with("flat_mirror")
     plan = plan_for(bench, 0.7)
     in_device = np.einsum("nji,nj->ni", plan.world_from_device[:, :3, :3], plan.dot - plan.world_from_device[:, :3, 3])
@@ -63,7 +72,7 @@ def test_the_real_dot_is_seen_where_it_is():
     np.testing.assert_allclose(seen(bench, plan)[1], gap[:, :2] / -gap[:, 2:], atol=1e-12)
 
 
-def test_latency_shifts_a_far_dot_by_angular_rate_times_latency():
+def test_latency_shifts_a_far_dot_by_angular_rate_times_latency() -> None:
     """The head turns left and up: what stands still in the world has moved right and down before it."""
     bench = bench_with("flat_mirror")
     plan = plan_for(bench, 1e5, (-0.02, 0.02), rate=(0.3, 0.5, 0.0))
@@ -73,7 +82,7 @@ def test_latency_shifts_a_far_dot_by_angular_rate_times_latency():
     np.testing.assert_array_equal(virtual, seen(bench, plan)[0])
 
 
-def test_latency_shifts_a_near_dot_by_velocity_times_latency_over_depth():
+def test_latency_shifts_a_near_dot_by_velocity_times_latency_over_depth() -> None:
     bench = replace(bench_with("flat_mirror"), clock=Clock(latency_s=0.01))
     plan = plan_for(bench, 0.5, velocity=(0.2, 0.0, 0.0))
     virtual, real = seen(bench, plan)
@@ -82,7 +91,7 @@ def test_latency_shifts_a_near_dot_by_velocity_times_latency_over_depth():
     np.testing.assert_allclose(real - virtual, expected, atol=1e-9)
 
 
-def test_a_scan_out_delays_each_row_of_the_panel_in_proportion():
+def test_a_scan_out_delays_each_row_of_the_panel_in_proportion() -> None:
     bench = replace(bench_with("flat_mirror"), clock=Clock(scanout_s=0.016))
     plan = plan_for(bench, 0.5, (-0.05, 0.05), velocity=(0.2, 0.0, 0.0))
     virtual, real = seen(bench, plan)
@@ -93,11 +102,11 @@ def test_a_scan_out_delays_each_row_of_the_panel_in_proportion():
     np.testing.assert_allclose((real - virtual)[:, 0], -0.2 * 0.016 * row / depth, atol=1e-9)
 
 
-def test_latency_and_scan_out_add():
+def test_latency_and_scan_out_add() -> None:
     bench = bench_with("flat_mirror")
     plan = plan_for(bench, 0.5, velocity=(0.2, 0.1, 0.0))
 
-    def gap(**clock):
+    def gap(**clock: Any) -> FloatArray:
         virtual, real = seen(replace(bench, clock=Clock(**clock)), plan)
         return real - virtual
 
@@ -106,7 +115,7 @@ def test_latency_and_scan_out_add():
 
 
 @pytest.mark.parametrize("depth", [IMAGE, 0.2, 1.0, 1e4])
-def test_a_biased_pupil_errs_by_the_dots_distance_from_the_virtual_image(depth):
+def test_a_biased_pupil_errs_by_the_dots_distance_from_the_virtual_image(depth: float) -> None:
     """The misalignment b (1 / image - 1 / depth) is the parallax between the two; none for a dot in the image."""
     bench = replace(bench_with("flat_mirror"), eye_tracking=EyeTracking(bias=np.array([1e-3, -5e-4, 0.0])))
     plan = plan_for(bench, depth, (-0.1, 0.1))
@@ -118,7 +127,7 @@ def test_a_biased_pupil_errs_by_the_dots_distance_from_the_virtual_image(depth):
     np.testing.assert_allclose((virtual - real)[usable], expected[usable], atol=1e-9)
 
 
-def test_a_pupil_that_moves_with_the_gaze_is_biased_by_the_gaze():
+def test_a_pupil_that_moves_with_the_gaze_is_biased_by_the_gaze() -> None:
     bench = bench_with("flat_mirror")
     plan = plan_for(bench, 1.0, (-0.1, 0.1))
     moving = replace(bench, eye_tracking=EyeTracking(gaze_radius=0.0105))
@@ -132,13 +141,13 @@ def test_a_pupil_that_moves_with_the_gaze_is_biased_by_the_gaze():
     assert np.nanmax(np.abs(virtual - real)) > 1e-4
 
 
-def test_a_dot_beside_the_panel_has_no_readings():
+def test_a_dot_beside_the_panel_has_no_readings() -> None:
     """Without a row of the panel there is no time at which it would be seen."""
     bench = bench_with("flat_mirror")
     assert np.isnan(seen(bench, plan_for(bench, 1.0, (0.5, 0.6)))).all()
 
 
-def test_a_changed_device_is_not_mistaken_for_the_one_before():
+def test_a_changed_device_is_not_mistaken_for_the_one_before() -> None:
     """The solver keeps what it learnt of a display; another display must not get it."""
     bench = bench_with("northstar")
     plan = plan_for(bench, 0.7, (-0.2, -0.1))

@@ -1,9 +1,11 @@
 """What a bench reads, against closed forms: straight lines, a flat mirror, a plane plate; and the parts of a bench."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 
 from wlr_render.bench.bench import (
     Bench,
@@ -24,6 +26,7 @@ from wlr_render.bench.simulate_session import (
 )
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, SessionPlan
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 
 FOCAL, CENTRE = np.array([1000.0, 1100.0]), np.array([640.0, 512.0])
@@ -32,7 +35,7 @@ DISTANCE = 0.6
 ROWS = 60
 
 
-def bench_with(device, **parts):
+def bench_with(device: str, **parts: Any) -> Bench:
     """A bench whose target stands square to the view at `DISTANCE`, its axes along the device's."""
     loaded = load_device(device)
     middle = loaded.eyes["right"].eye_box.centre
@@ -42,11 +45,11 @@ def bench_with(device, **parts):
     return replace(bench, **parts)
 
 
-def with_camera(bench, **changes):
+def with_camera(bench: Bench, **changes: Any) -> Bench:
     return replace(bench, camera=replace(bench.camera, **changes))
 
 
-def display_plan(bench, seed=1):
+def display_plan(bench: Bench, seed: int = 1) -> DisplayPlan:
     rng = np.random.default_rng(seed)
     pixel = CENTRE + rng.uniform(-100, 100, (ROWS, 2))
     place = bench.stage.origin + rng.uniform(-4e-3, 4e-3, (ROWS, 3))
@@ -54,40 +57,40 @@ def display_plan(bench, seed=1):
     return DisplayPlan(count, 10.0 * count, np.where(count % 2, 1.0, -1.0), place, count % 3, pixel)
 
 
-def see_through_plan(bench, seed=2):
+def see_through_plan(bench: Bench, seed: int = 2) -> SeeThroughPlan:
     shown = display_plan(bench, seed)
     dot = np.random.default_rng(seed).uniform(-0.1, 0.1, (ROWS, 2))
     return SeeThroughPlan(shown.capture, shown.time_s, shown.travel, shown.stage, np.zeros(ROWS, dtype=int), dot)
 
 
-def plan_of(bench):
+def plan_of(bench: Bench) -> SessionPlan:
     return SessionPlan(display_plan(bench), see_through_plan(bench))
 
 
-def panel(bench, plan):
-    return simulate(bench, SessionPlan(display=plan)).panel_pixel
+def panel(bench: Bench, plan: DisplayPlan) -> FloatArray:
+    return present(simulate(bench, SessionPlan(display=plan)).panel_pixel)
 
 
-def dots(bench, plan):
-    return simulate(bench, SessionPlan(see_through=plan)).dot_pixel
+def dots(bench: Bench, plan: SeeThroughPlan) -> FloatArray:
+    return present(simulate(bench, SessionPlan(see_through=plan)).dot_pixel)
 
 
-def projected(point, camera_position, device_from_camera):
+def projected(point: FloatArray, camera_position: FloatArray, device_from_camera: FloatArray) -> FloatArray:
     """The textbook's pinhole with v down: camera pixels (n, 2) of points (n, 3)."""
     x, y, z = ((point - camera_position) @ device_from_camera).T
-    return CENTRE + np.column_stack([FOCAL[0] * x / -z, FOCAL[1] * y / z])
+    return np.asarray(CENTRE + np.column_stack([FOCAL[0] * x / -z, FOCAL[1] * y / z]))
 
 
 class TestClosedForms:
     @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.03, -0.05, 0.2)])
-    def test_without_optics_the_camera_is_a_pinhole(self, turn):
+    def test_without_optics_the_camera_is_a_pinhole(self, turn: tuple[float, float, float]) -> None:
         turned = rotations_of_vectors(np.array(turn))
         bench = with_camera(bench_with("no_optics"), device_from_camera=turned)
         plan = see_through_plan(bench)
         point = np.column_stack([plan.dot, np.full(ROWS, -DISTANCE)])
         np.testing.assert_allclose(dots(bench, plan), projected(point, plan.stage, turned), atol=1e-9)
 
-    def test_what_a_camera_pixel_decodes_is_seen_in_that_pixel(self):
+    def test_what_a_camera_pixel_decodes_is_seen_in_that_pixel(self) -> None:
         turned = rotations_of_vectors(np.array([0.03, -0.05, 0.2]))
         bench = with_camera(bench_with("no_optics"), device_from_camera=turned)
         plan = display_plan(bench)
@@ -95,14 +98,14 @@ class TestClosedForms:
         point = np.column_stack([x, y, np.full(ROWS, -0.5)])
         np.testing.assert_allclose(projected(point, plan.stage, turned), plan.camera_pixel, atol=1e-9)
 
-    def test_a_flat_mirror_shows_the_panel_at_80_mm(self):
+    def test_a_flat_mirror_shows_the_panel_at_80_mm(self) -> None:
         bench = bench_with("flat_mirror")
         plan = display_plan(bench)
         x, y = ((panel(bench, plan) / [1920, 1080] - 0.5) * [0.048, -0.027]).T
         image = np.column_stack([x, y, np.full(ROWS, -0.08)])
         np.testing.assert_allclose(projected(image, plan.stage, STRAIGHT), plan.camera_pixel, atol=1e-8)
 
-    def test_through_a_plane_plate_dots_are_nearer_by_the_textbook_amount(self):
+    def test_through_a_plane_plate_dots_are_nearer_by_the_textbook_amount(self) -> None:
         """Rays at the angle a leave a plate shifted back by t (1 - tan a' / tan a), with sin a = n sin a'."""
         bench = bench_with("plane_plate")
         plan = see_through_plan(bench)
@@ -118,14 +121,14 @@ class TestClosedForms:
 
     @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2)])
     @pytest.mark.parametrize("distortion", [(0.0, 0.0), (0.05, -0.02), (-0.15, 0.03), (0.3, 0.1)])
-    def test_lens_distortion_is_undone(self, shape, distortion):
+    def test_lens_distortion_is_undone(self, shape: tuple[int, ...], distortion: tuple[float, float]) -> None:
         camera = replace(bench_with("no_optics").camera, distortion=np.array(distortion))
         tangents = np.random.default_rng(3).uniform(-0.6, 0.6, (*shape, 2))
         pixel = camera.pixel_of_tangents(tangents)
         assert pixel.shape == (*shape, 2)
         np.testing.assert_allclose(camera.tangents_of_pixel(pixel), tangents, atol=1e-14)
 
-    def test_pixels_that_a_barrel_never_reaches_have_no_direction(self):
+    def test_pixels_that_a_barrel_never_reaches_have_no_direction(self) -> None:
         camera = replace(bench_with("no_optics").camera, distortion=np.array([-0.3, 0.0]))
         fold = np.sqrt(1.0 / 0.9)
         edge = camera.pixel_of_tangents(np.array([[0.99 * fold, 0.0], [0.5, 0.0]]))
@@ -133,7 +136,7 @@ class TestClosedForms:
         np.testing.assert_allclose(camera.tangents_of_pixel(edge)[:, 0], [0.99 * fold, 0.5], atol=1e-8)
         assert np.isnan(camera.tangents_of_pixel(beyond)).all()
 
-    def test_a_barrel_pulls_points_towards_the_centre_by_the_cube_of_the_radius(self):
+    def test_a_barrel_pulls_points_towards_the_centre_by_the_cube_of_the_radius(self) -> None:
         camera = replace(bench_with("no_optics").camera, distortion=np.array([-0.1, 0.0]))
         straight = replace(camera, distortion=np.zeros(2))
         tangents = np.array([[0.2, 0.0], [0.4, 0.0]])
@@ -142,20 +145,20 @@ class TestClosedForms:
 
 
 class TestCameraAndStage:
-    def test_a_camera_farther_right_sees_dots_farther_left(self):
+    def test_a_camera_farther_right_sees_dots_farther_left(self) -> None:
         bench = bench_with("no_optics")
         plan = see_through_plan(bench)
         moved = dots(with_camera(bench, pupil_offset=np.array([1e-3, 0.0, 0.0])), plan) - dots(bench, plan)
         depth = DISTANCE + plan.stage[:, 2]
         np.testing.assert_allclose(moved, np.column_stack([-FOCAL[0] * 1e-3 / depth, np.zeros(ROWS)]), atol=1e-9)
 
-    def test_a_camera_farther_up_sees_a_higher_row_of_the_panel(self):
+    def test_a_camera_farther_up_sees_a_higher_row_of_the_panel(self) -> None:
         bench = bench_with("no_optics")
         plan = display_plan(bench)
         moved = panel(with_camera(bench, pupil_offset=np.array([0.0, 1e-3, 0.0])), plan) - panel(bench, plan)
         np.testing.assert_allclose(moved, np.tile([0.0, -720 * 1e-3 / 0.18], (ROWS, 1)), atol=1e-9)
 
-    def test_a_camera_turned_left_sees_dots_farther_right(self):
+    def test_a_camera_turned_left_sees_dots_farther_right(self) -> None:
         bench = bench_with("no_optics")
         plan = see_through_plan(bench)
         left = with_camera(bench, device_from_camera=rotations_of_vectors(np.array([0.0, 1e-3, 0.0])))
@@ -164,7 +167,7 @@ class TestCameraAndStage:
         up = with_camera(bench, device_from_camera=rotations_of_vectors(np.array([1e-3, 0.0, 0.0])))
         assert np.all((dots(up, plan) - dots(bench, plan))[:, 1] > 0.99 * FOCAL[1] * 1e-3)
 
-    def test_turning_the_camera_between_captures_turns_its_own_axes_with_it(self):
+    def test_turning_the_camera_between_captures_turns_its_own_axes_with_it(self) -> None:
         """Through optics as well: a plan's orientation acts on the camera as it is mounted, not the other way round."""
         bench = bench_with("northstar")
         mounted, turned = rotations_of_vectors(np.array([[0.02, -0.03, 0.1], [-0.05, 0.08, 0.03]]))
@@ -175,7 +178,7 @@ class TestCameraAndStage:
             dots(with_camera(bench, device_from_camera=turned @ mounted), plan),
         )
 
-    def test_the_stage_is_wrong_about_its_origin(self):
+    def test_the_stage_is_wrong_about_its_origin(self) -> None:
         axes = rotations_of_vectors(np.array([0.0, 0.0, 0.01])) @ np.diag([1.02, 1.0, 0.99])
         bench = bench_with("no_optics")
         plan = see_through_plan(bench)
@@ -185,7 +188,7 @@ class TestCameraAndStage:
             dots(replace(bench, stage=Stage(origin, axes)), plan), dots(bench, replace(plan, stage=true)), atol=1e-9
         )
 
-    def test_backlash_is_added_to_x_by_the_direction_of_the_last_move(self):
+    def test_backlash_is_added_to_x_by_the_direction_of_the_last_move(self) -> None:
         bench = bench_with("no_optics")
         wrong = replace(bench, stage=replace(bench.stage, backlash=np.array([1e-4, -3e-4])))
         for plan, read in ((display_plan(bench), panel), (see_through_plan(bench), dots)):
@@ -194,7 +197,7 @@ class TestCameraAndStage:
 
 
 class TestMount:
-    def test_a_slip_acts_from_its_time_on(self):
+    def test_a_slip_acts_from_its_time_on(self) -> None:
         bench = bench_with("northstar")
         turn = np.array([2e-3, -1e-3, 3e-3])
         slip = np.array([5e-4, -2e-4, 3e-4])
@@ -207,7 +210,7 @@ class TestMount:
             expected = np.where(late[:, None], read(moved, plan), read(bench, plan))
             np.testing.assert_allclose(read(slipped, plan), expected, atol=1e-9)
 
-    def test_a_slip_turns_a_camera_that_is_turned_already(self):
+    def test_a_slip_turns_a_camera_that_is_turned_already(self) -> None:
         turned = rotations_of_vectors(np.array([0.1, 0.2, -0.1]))
         bench = with_camera(bench_with("northstar"), device_from_camera=turned)
         turn = np.array([0.02, -0.03, 0.05])
@@ -216,7 +219,7 @@ class TestMount:
         for plan, read in ((display_plan(bench), panel), (see_through_plan(bench), dots)):
             np.testing.assert_allclose(read(slipped, plan), read(moved, plan), atol=1e-9)
 
-    def test_a_creep_ends_where_a_panel_that_is_moved_stands(self):
+    def test_a_creep_ends_where_a_panel_that_is_moved_stands(self) -> None:
         bench = bench_with("northstar")
         plan = display_plan(bench)
         crept = replace(bench, mount=Mount(panel_creep=np.array([4e-5, -7e-5]), warm_up_s=200.0))
@@ -227,7 +230,7 @@ class TestMount:
         part = 1 - np.exp(-plan.time_s / 200.0)
         np.testing.assert_allclose(panel(crept, plan) - panel(bench, plan), part[:, None] * whole, atol=1e-8)
 
-    def test_what_is_decoded_is_undone(self):
+    def test_what_is_decoded_is_undone(self) -> None:
         mount = Mount(panel_creep=np.array([4e-5, -7e-5]))
         readout = PanelReadout(np.array([0.5, -1.0]), np.array([0.99, 1.0, 1.02]))
         bench = bench_with("northstar", mount=mount, readout=readout)
@@ -235,7 +238,7 @@ class TestMount:
         pixel = np.random.default_rng(4).uniform(0, 1400, (ROWS, 2))
         np.testing.assert_allclose(undecoded(bench, plan, decoded(bench, plan, pixel)), pixel, atol=1e-10)
 
-    def test_colours_are_magnified_about_the_centre_and_offset_alike(self):
+    def test_colours_are_magnified_about_the_centre_and_offset_alike(self) -> None:
         bench = bench_with("no_optics")
         plan = display_plan(bench)
         wrong = replace(bench, readout=PanelReadout(np.array([0.5, -1.0]), np.array([0.99, 1.0, 1.02])))
@@ -244,7 +247,7 @@ class TestMount:
         expected = centre + scale * (panel(bench, plan) - centre) + [0.5, -1.0]
         np.testing.assert_allclose(panel(wrong, plan), expected, atol=1e-9)
 
-    def test_each_colour_is_traced_at_its_own_wavelength(self):
+    def test_each_colour_is_traced_at_its_own_wavelength(self) -> None:
         bench = bench_with("birdbath28")
         plan = display_plan(bench)
         in_green = panel(bench, replace(plan, channel=np.ones(ROWS, dtype=int)))
@@ -255,7 +258,7 @@ class TestMount:
 
 
 class TestTarget:
-    def test_a_bowed_target_comes_towards_its_own_z(self):
+    def test_a_bowed_target_comes_towards_its_own_z(self) -> None:
         bench = bench_with("no_optics")
         plan = see_through_plan(bench)
         target = replace(bench.target, scale=np.array([1.01, 0.98]), bow=np.array([[0.3, -0.5]]))
@@ -265,7 +268,7 @@ class TestTarget:
             dots(replace(bench, target=target), plan), projected(point, plan.stage, STRAIGHT), atol=1e-9
         )
 
-    def test_tracking_is_wrong_in_the_device_frame(self):
+    def test_tracking_is_wrong_in_the_device_frame(self) -> None:
         bench = bench_with("no_optics")
         plan = see_through_plan(bench)
         wrong = rigid(rotations_of_vectors(np.array([0.01, -0.02, 0.03])), np.array([1e-3, 2e-3, -3e-3]))
@@ -274,7 +277,7 @@ class TestTarget:
         tracked = replace(bench, tracking=Tracking(wrong))
         np.testing.assert_allclose(dots(tracked, plan), projected(point, plan.stage, STRAIGHT), atol=1e-9)
 
-    def test_each_row_has_the_pose_and_the_bow_it_names(self):
+    def test_each_row_has_the_pose_and_the_bow_it_names(self) -> None:
         bench = bench_with("northstar")
         poses = np.concatenate([bench.target.device_from_target] * 2)
         poses[1, 2, 3] -= 0.5
@@ -286,7 +289,7 @@ class TestTarget:
             expected = dots(replace(bench, target=alone), see_through_plan(bench))
             np.testing.assert_array_equal(dots(both, plan)[rows], expected[rows])
 
-    def test_a_photograph_without_the_headset_makes_the_target_and_the_camera_irrelevant(self):
+    def test_a_photograph_without_the_headset_makes_the_target_and_the_camera_irrelevant(self) -> None:
         bench = bench_with("no_optics")
         bare = dots(bench, see_through_plan(bench))
         plan = replace(see_through_plan(bench), bare_pixel=bare)
@@ -297,7 +300,7 @@ class TestTarget:
         )
         np.testing.assert_allclose(dots(wrong, plan), bare, atol=1e-9)
 
-    def test_through_optics_a_bare_photograph_leaves_a_small_part_of_the_targets_errors(self):
+    def test_through_optics_a_bare_photograph_leaves_a_small_part_of_the_targets_errors(self) -> None:
         bench = bench_with("northstar")
         plan = see_through_plan(bench)
         bare = dots(bench_with("no_optics", target=bench.target, stage=bench.stage), plan)
@@ -307,7 +310,7 @@ class TestTarget:
         seen = np.abs(dots(scaled, plan) - dots(bench, plan)).max()
         assert np.abs(dots(scaled, with_bare) - dots(bench, with_bare)).max() < 0.01 * seen
 
-    def test_dots_behind_the_camera_and_panels_beside_the_view_are_not_seen(self):
+    def test_dots_behind_the_camera_and_panels_beside_the_view_are_not_seen(self) -> None:
         bench = bench_with("no_optics")
         behind = replace(bench.target, device_from_target=rigid(np.eye(3), np.array([[0.0, 0.0, 0.3]])))
         assert np.isnan(dots(replace(bench, target=behind), see_through_plan(bench))).all()
@@ -317,7 +320,7 @@ class TestTarget:
 
 class TestNeighbours:
     @pytest.mark.parametrize("device", ["northstar", "birdbath28", "freeform40"])
-    def test_sights_of_a_neighbour_change_no_result(self, device):
+    def test_sights_of_a_neighbour_change_no_result(self, device: str) -> None:
         bench = bench_with(device)
         plan = see_through_plan(bench)
         near = with_camera(bench, pupil_offset=np.array([2e-3, -1e-3, 1e-3]))
@@ -325,9 +328,11 @@ class TestNeighbours:
         assert np.isfinite(cold.tangents).mean() > 0.9
         np.testing.assert_allclose(fast.tangents, cold.tangents, atol=1e-11)
         session = SessionPlan(see_through=plan)
-        np.testing.assert_allclose(simulate(bench, session, Views(fast)).dot_pixel, dots(bench, plan), atol=1e-8)
+        np.testing.assert_allclose(
+            present(simulate(bench, session, Views(fast)).dot_pixel), dots(bench, plan), atol=1e-8
+        )
 
-    def test_one_step_from_a_neighbour_errs_by_the_square_of_the_change(self):
+    def test_one_step_from_a_neighbour_errs_by_the_square_of_the_change(self) -> None:
         bench = bench_with("northstar")
         plan = plan_of(bench)
         views = Views.of(bench, plan)
@@ -336,6 +341,6 @@ class TestNeighbours:
             changed = with_camera(bench, pupil_offset=size * np.array([1.0, 0.5, -0.5]))
             near, full = simulate_to_first_order(changed, plan, views), simulate(changed, plan)
             np.testing.assert_array_equal(near.panel_pixel, full.panel_pixel)
-            errors.append(np.abs(near.dot_pixel - full.dot_pixel).max())
+            errors.append(np.abs(present(near.dot_pixel) - present(full.dot_pixel)).max())
         assert errors[-1] > 1e-6  # far above rounding
         np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 4.0, rtol=0.15)

@@ -11,7 +11,9 @@ from benchmarks.soak.wearer import Wearer
 from wlr_render.report.blocks import Report, ReportTable
 
 
-def test_soak_options_reach_the_benchmark_and_its_tables_are_printed(monkeypatch, capsys):
+def test_soak_options_reach_the_benchmark_and_its_tables_are_printed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     given = []
     table = ReportTable("A title", ("what", "how long (ms)"), [["this", 1.25]], ("A note.",))
     run = wraps(study.run)(lambda options, progress: given.append(options) or Report("", blocks=[table]))
@@ -44,7 +46,7 @@ def test_soak_options_reach_the_benchmark_and_its_tables_are_printed(monkeypatch
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
-def test_every_benchmark_has_help(name, capsys):
+def test_every_benchmark_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([name, "--help"]) == 0
     printed = capsys.readouterr().out
     assert BENCHMARKS[name][:30] in printed
@@ -52,7 +54,9 @@ def test_every_benchmark_has_help(name, capsys):
     assert "None" not in printed
 
 
-def test_a_stream_that_cannot_be_is_told_in_one_line_and_leaves_nothing_behind(tmp_path, capsys):
+def test_a_stream_that_cannot_be_is_told_in_one_line_and_leaves_nothing_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     track = tmp_path / "eyes.txt"
     header = ("# format: wlr-eye-trajectory 1", "# kind: viewpoint", "# frame: openxr-device", "# units: s m")
     track.write_text("\n".join([*header, "0.0 right 0.03 0 -0.03", "0.1 right 0.03 0 -0.03"]) + "\n")
@@ -69,7 +73,7 @@ def test_a_stream_that_cannot_be_is_told_in_one_line_and_leaves_nothing_behind(t
         assert not list(tmp_path.glob("out/*"))
 
 
-def test_a_benchmark_refuses_the_options_of_another(capsys):
+def test_a_benchmark_refuses_the_options_of_another(capsys: pytest.CaptureFixture[str]) -> None:
     for arguments in (["speed", "--trials", "3"], ["diagnosis", "--record", "kept"], ["raster", "a", "--seed", "1"]):
         assert main(arguments) == 2
         assert arguments[-2] in capsys.readouterr().err

@@ -17,18 +17,18 @@ from benchmarks.intervals import interval_percent, ratio_interval
         (15, 20, "50.9 to 91.3"),
     ],
 )
-def test_known_intervals(count, total, words):
+def test_known_intervals(count: int, total: int, words: str) -> None:
     assert interval_percent(count, total) == words
 
 
-def test_bounds_are_where_the_count_becomes_improbable():
+def test_bounds_are_where_the_count_becomes_improbable() -> None:
     low, high = (float(bound) / 100 for bound in interval_percent(12, 80).split(" to "))
     assert (low, high) == pytest.approx((beta.ppf(0.025, 12, 69), beta.ppf(0.975, 13, 68)), abs=5e-4)
     assert binom.sf(11, 80, low) == pytest.approx(0.025, abs=1e-3)
     assert binom.cdf(12, 80, high) == pytest.approx(0.025, abs=1e-3)
 
 
-def test_interval_of_a_ratio_holds_it_as_often_as_it_says():
+def test_interval_of_a_ratio_holds_it_as_often_as_it_says() -> None:
     rng = np.random.default_rng(3)
     held = 0
     for _ in range(200):

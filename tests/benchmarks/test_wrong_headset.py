@@ -1,15 +1,18 @@
 """Surfaces with an error of their shape."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from benchmarks.wrong_headset import misshapen
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.sag_surfaces import XYPolynomial
 
 _SMALL = 1e-4  # metres from the vertex: higher powers do not matter
 
 
-def curvatures(shape):
+def curvatures(shape: XYPolynomial) -> FloatArray:
     """Second derivatives (2,) of the sag along x and y at the vertex, 1/m."""
     x = np.array([0.0, _SMALL, -_SMALL])
     along_x, along_y = shape.sag_and_slopes(x, 0.0 * x)[0], shape.sag_and_slopes(0.0 * x, x)[0]
@@ -26,12 +29,14 @@ def curvatures(shape):
         ([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [2.0, 0.0, 0.0]], 5.0, (1.002, 1.0)),
     ],
 )
-def test_a_misshapen_polynomial_has_another_curvature_at_its_vertex(coefficients, curvature, factors):
+def test_a_misshapen_polynomial_has_another_curvature_at_its_vertex(
+    coefficients: Sequence[list[float]], curvature: float, factors: tuple[float, float]
+) -> None:
     shape = XYPolynomial(np.array(coefficients), curvature)
     np.testing.assert_allclose(curvatures(misshapen(shape, 0.002)), curvatures(shape) * factors, rtol=1e-6, atol=1e-7)
     assert misshapen(shape, 0.0) is shape
 
 
-def test_a_polynomial_without_curvature_stays_as_it_is():
+def test_a_polynomial_without_curvature_stays_as_it_is() -> None:
     plane = XYPolynomial(np.array([[0.0, 0.1]]))
     assert curvatures(misshapen(plane, 0.002)) == pytest.approx([0.0, 0.0])

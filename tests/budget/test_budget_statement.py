@@ -7,16 +7,16 @@ from wlr_render.budget.statement import by_owner, radius_within, region_of, shar
 from wlr_render.mappings import Panel
 
 
-def test_radius_of_a_round_error_is_rayleighs():
+def test_radius_of_a_round_error_is_rayleighs() -> None:
     radius = radius_within(np.array([[[4.0, 0.0], [0.0, 4.0]]]))
     assert radius == pytest.approx(2.0 * np.sqrt(-2.0 * np.log(0.05)), rel=1e-6)
 
 
-def test_radius_along_one_axis_is_the_normal_quantile():
+def test_radius_along_one_axis_is_the_normal_quantile() -> None:
     assert radius_within(np.diag([9.0, 0.0])[None]) == pytest.approx(3.0 * 1.96, rel=0.01)
 
 
-def test_radius_of_a_mixture_agrees_with_draws():
+def test_radius_of_a_mixture_agrees_with_draws() -> None:
     rng = np.random.default_rng(2)
     roots = rng.normal(size=(5, 2, 2))
     errors = np.einsum("nij,ndj->ndi", roots, rng.normal(size=(5, 100_000, 2)))
@@ -27,7 +27,7 @@ def test_radius_of_a_mixture_agrees_with_draws():
     assert radius_within(with_missing) == radius_within(covariance)
 
 
-def test_shares_add_up_and_the_largest_comes_first():
+def test_shares_add_up_and_the_largest_comes_first() -> None:
     by_source = {"a: one": np.eye(2)[None], "a: two": 2.0 * np.eye(2)[None], "b: one": 5.0 * np.eye(2)[None]}
     found = shares(by_source)
     assert [each.name for each in found] == ["b: one", "a: two", "a: one"]
@@ -37,6 +37,6 @@ def test_shares_add_up_and_the_largest_comes_first():
     assert [each.share for each in shares(by_owner(by_source))] == pytest.approx([5 / 8, 3 / 8])
 
 
-def test_regions_of_a_panel():
+def test_regions_of_a_panel() -> None:
     pixel = np.array([[50.0, 25.0], [5.0, 25.0], [50.0, 48.0], [95.0, 2.0]])
     assert region_of(Panel(100, 50), pixel).tolist() == [0, 1, 1, 2]

@@ -1,6 +1,8 @@
 """Maps of the predicted error against the covariance that they interpolate."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,39 +12,40 @@ from wlr_render.budget.error_map import ErrorMap, predicted_error
 from wlr_render.budget.error_sizes import ErrorSizes, EyeTracker, HeadTracker
 from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import variance
-from wlr_render.mappings import FieldOfView
+from wlr_render.mappings import Eye, FieldOfView
+from wlr_render.numerics.arrays import FloatArray
 
 TRACKERS = ErrorSizes(EyeTracker(4e-5, 1.3e-4, 0.045, (0.0027, 0.0027, 0.0)), HeadTracker(3.5e-4, 5e-4, 0.002, 0.26))
 
 
 @pytest.fixture(scope="module")
-def eye():
+def eye() -> Eye:
     return fitted_eye("northstar", 5)
 
 
 @pytest.fixture(scope="module")
-def error_map(eye):
+def error_map(eye: Eye) -> ErrorMap:
     return ErrorMap(eye, TRACKERS, 9, 8)
 
 
-def exact_rms(eye, pixel, viewpoint, depth_m, sizes):
+def exact_rms(eye: Eye, pixel: FloatArray, viewpoint: FloatArray, depth_m: float, sizes: ErrorSizes) -> FloatArray:
     return np.sqrt(variance(registration_covariance(eye, pixel, viewpoint, depth_m, sizes).total))
 
 
-def places(eye, count=6):
+def places(eye: Eye, count: int = 6) -> Iterator[Any]:
     """Viewpoints all over the eye box, with depths from 0.2 to 50 m."""
     rng = np.random.default_rng(8)
     return zip(eye.eye_box.at(rng.uniform(-1, 1, (count, 3))), 1.0 / rng.uniform(0.02, 5.0, count), strict=True)
 
 
-def test_a_map_is_the_covariance_at_its_viewpoint_and_depth(eye, error_map):
+def test_a_map_is_the_covariance_at_its_viewpoint_and_depth(eye: Eye, error_map: ErrorMap) -> None:
     for viewpoint, depth_m in places(eye):
         found = error_map.at(viewpoint, depth_m)
         exact = registration_covariance(eye, error_map.pixel, viewpoint, depth_m, TRACKERS).total
         np.testing.assert_allclose(found.covariance, exact, atol=2e-3 * exact.max())
 
 
-def test_sources_are_named_and_their_squares_add_up(eye):
+def test_sources_are_named_and_their_squares_add_up(eye: Eye) -> None:
     """Of a headset with a large error of one source, at a viewpoint and depth between those that are computed."""
     printed = with_source(eye, "printing errors of the board")
     viewpoint = eye.eye_box.at(np.array([0.4, -0.7, 0.2]))
@@ -64,21 +67,21 @@ def test_sources_are_named_and_their_squares_add_up(eye):
     assert stated["head tracker: noise"] == pytest.approx(np.sqrt(np.mean(variance(by_source["head tracker: noise"]))))
 
 
-def test_between_its_nodes_a_map_is_bilinear(eye, error_map):
+def test_between_its_nodes_a_map_is_bilinear(eye: Eye, error_map: ErrorMap) -> None:
     pixel = np.random.default_rng(9).uniform(0.0, 1.0, (40, 2)) * eye.display.panel.size_px
     for viewpoint, depth_m in places(eye):
         exact = exact_rms(eye, pixel, viewpoint, depth_m, TRACKERS)
         np.testing.assert_allclose(error_map.at(viewpoint, depth_m).at_pixel(pixel), exact, rtol=0.04)
 
 
-def test_the_models_own_part_is_within_six_per_cent_at_the_nodes(eye):
+def test_the_models_own_part_is_within_six_per_cent_at_the_nodes(eye: Eye) -> None:
     own = ErrorMap(eye, ErrorSizes(), 4, 4)
     for viewpoint, depth_m in places(eye):
         exact = exact_rms(eye, own.pixel, viewpoint, depth_m, ErrorSizes())
         np.testing.assert_allclose(own.at(viewpoint, depth_m).rms_map_arcmin, exact, rtol=0.06)
 
 
-def test_each_node_has_its_own_depth_and_nothing_is_predicted_without_one(eye, error_map):
+def test_each_node_has_its_own_depth_and_nothing_is_predicted_without_one(eye: Eye, error_map: ErrorMap) -> None:
     viewpoint, depth_m = eye.eye_box.centre, np.full(error_map.pixel.shape[:2], 0.4)
     depth_m[2, 3], depth_m[4, 5], depth_m[0, 0] = 3.0, np.inf, np.nan
     found = error_map.at(viewpoint, depth_m).rms_map_arcmin
@@ -88,13 +91,13 @@ def test_each_node_has_its_own_depth_and_nothing_is_predicted_without_one(eye, e
     assert far[2, 3] < 0.7 * near[2, 3]
 
 
-def test_another_viewpoint_has_another_map_and_one_outside_counts_as_the_nearest(eye, error_map):
+def test_another_viewpoint_has_another_map_and_one_outside_counts_as_the_nearest(eye: Eye, error_map: ErrorMap) -> None:
     centre, corner, beyond = (error_map.at(eye.eye_box.at(np.full(3, each)), 1.0).covariance for each in (0, 1, 1.6))
     assert np.abs(corner - centre).max() > 0.02 * centre.max()
     np.testing.assert_allclose(beyond, corner, rtol=1e-12)
 
 
-def test_figures_are_those_of_the_field_of_view(eye, error_map):
+def test_figures_are_those_of_the_field_of_view(eye: Eye, error_map: ErrorMap) -> None:
     whole = error_map.at(eye.eye_box.centre, 1.0)
     assert whole.rms_arcmin == pytest.approx(np.sqrt(np.mean(whole.rms_map_arcmin.astype(float) ** 2)))
     assert 1.5 < whole.radius_arcmin / whole.rms_arcmin < 2.0  # Rayleigh: 1.73
@@ -110,7 +113,7 @@ def test_figures_are_those_of_the_field_of_view(eye, error_map):
     assert nothing.record == {"rms_arcmin": None, "radius_arcmin": None, "sources": []}
 
 
-def test_the_three_channels_are_right_up_and_length(eye, error_map):
+def test_the_three_channels_are_right_up_and_length(eye: Eye, error_map: ErrorMap) -> None:
     right, up, length = np.moveaxis(error_map.at(eye.eye_box.centre, 1.0).map_arcmin.astype(float), -1, 0)
     np.testing.assert_allclose(np.hypot(right, up), length, rtol=1e-5)
     assert np.all(right > 0)

@@ -1,10 +1,12 @@
 """A calibration that is refused: how far it came, and what was excluded before."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from present import present
 
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration import calibrate_session as steps
@@ -22,10 +24,11 @@ MOVED = Excluded("display/03", "its points lie off", fault=True, off_arcmin=9.0)
 
 
 @pytest.mark.slow
-def test_photographs_that_the_bench_rejected_are_named_where_a_later_camera_is_refused(tmp_path):
+def test_photographs_that_the_bench_rejected_are_named_where_a_later_camera_is_refused(tmp_path: Path) -> None:
     recipe = SimulationRecipe("birdbath28", viewpoints=4, bench=LENS_STATED)
     made = simulate_readings(recipe, ReadingOptions(most_dots=40, panel_samples=50))
     eyeball = replace(made.session.eyeball_camera, lens="brown", intrinsics=made.session.eyeball_camera.intrinsics[2:8])
+    assert made.session.tracking_camera is not None
     tracking = replace(made.session.tracking_camera, intrinsics=made.session.tracking_camera.intrinsics[:1])
     session = replace(
         made.session, eyeball_camera=eyeball, tracking_camera=tracking, tracking=made.session.tracking[:1]
@@ -44,7 +47,7 @@ def test_photographs_that_the_bench_rejected_are_named_where_a_later_camera_is_r
 
 
 @pytest.fixture
-def session(monkeypatch):
+def session(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A session of two eyes whose bench and captures are given, not calibrated: that takes a minute."""
     rng = np.random.default_rng(0)
     captures = DisplayCaptures(
@@ -67,21 +70,22 @@ def session(monkeypatch):
     return session
 
 
-def fit(captures):
-    if captures.display.eye == "left":
+def fit(captures: Captures) -> str:
+    if present(captures.display).eye == "left":
         raise BadInputError("this eye cannot be fitted.")
     return "models of the right eye"
 
 
-def test_a_refusal_at_the_second_eye_keeps_the_first(session, tmp_path):
+def test_a_refusal_at_the_second_eye_keeps_the_first(session: SimpleNamespace, tmp_path: Path) -> None:
     with pytest.raises(RefusedCalibrationError, match="this eye cannot be fitted") as refused:
         calibrate_session(session, Reading(), tmp_path, fit)
     found = refused.value.found
+    assert found is not None
     assert {eye: each.kinds for eye, each in found.eyes.items()} == {"right": "models of the right eye"}
     assert found.eyes["right"].excluded == found.reading.excluded == (MOVED,)  # of each eye, once
 
 
-def test_a_file_that_cannot_be_written_is_no_refusal_of_the_session(session, tmp_path):
+def test_a_file_that_cannot_be_written_is_no_refusal_of_the_session(session: SimpleNamespace, tmp_path: Path) -> None:
     (tmp_path / "captures-right.npz").mkdir()
     with pytest.raises(BadInputError, match="captures-right") as error:
         calibrate_session(session, Reading(), tmp_path, fit)

@@ -8,13 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration.toy_device import PANEL, display_captures, errors_arcmin, grid_in_plane, see_through_captures
+from numpy.typing import ArrayLike
+from present import present
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.captures.correspondences import concatenate, select
+from wlr_render.captures.correspondences import DisplayCaptures, concatenate, select
 from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.geometry.transforms import rotations_of_vectors
+from wlr_render.numerics.arrays import FloatArray
 
 PLACES = 25
 PIXELS = PANEL.grid(8, 6).reshape(-1, 2)
@@ -22,7 +25,9 @@ SIZE = np.array([6e-5, 3e-5, 4e-5, 10e-6, 10e-6, 25e-6])
 NOISE_ARCMIN = 0.25
 
 
-def moved(captures, motion, rng, noise_arcmin=NOISE_ARCMIN):
+def moved(
+    captures: DisplayCaptures, motion: FloatArray, rng: np.random.Generator, noise_arcmin: float = NOISE_ARCMIN
+) -> DisplayCaptures:
     """As taken by a camera that turned and stood elsewhere by `motion` (groups, 6), with noise of heavy tails."""
     own = motion[captures.visits[1]]
     measured = np.einsum("nji,nj->ni", rotations_of_vectors(own[:, :3]), captures.view_dir)
@@ -36,23 +41,23 @@ def moved(captures, motion, rng, noise_arcmin=NOISE_ARCMIN):
     )
 
 
-def uniform(rng, size):
+def uniform(rng: np.random.Generator, size: FloatArray) -> FloatArray:
     return size * rng.uniform(-np.sqrt(3), np.sqrt(3), size.shape)
 
 
-def stated(captures, size, log_sigma):
+def stated(captures: DisplayCaptures, size: FloatArray, log_sigma: float) -> DisplayCaptures:
     return replace(captures, motion=CaptureMotionPrior(np.unique(captures.visits[0]), size, log_sigma))
 
 
-def display():
+def display() -> DisplayCaptures:
     return display_captures(grid_in_plane(5, 5), PIXELS)
 
 
-def rms(values):
+def rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def creeping(rng, size):
+def creeping(rng: np.random.Generator, size: FloatArray) -> tuple[FloatArray, FloatArray]:
     """A stage that creeps while it takes its positions in any order, the same way in all axes."""
     along = rng.permutation(np.linspace(-1.0, 1.0, len(size)))[:, None]
     return np.sqrt(3) * along * SIZE, np.sqrt(3) * np.abs(along) * SIZE + 0.1 * SIZE
@@ -63,7 +68,7 @@ def creeping(rng, size):
     ("factor", "log_sigma", "drifts"),
     [(1.0, 0.1, False), (2.0, 0.5, False), (0.5, 0.5, False), (1.0, 0.1, True)],
 )
-def test_the_predicted_error_is_the_true_one(factor, log_sigma, drifts):
+def test_the_predicted_error_is_the_true_one(factor: float, log_sigma: float, drifts: bool) -> None:
     errors = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
@@ -78,7 +83,7 @@ def test_the_predicted_error_is_the_true_one(factor, log_sigma, drifts):
 
 
 @pytest.mark.slow
-def test_captures_that_are_known_to_be_worse_spoil_nothing():
+def test_captures_that_are_known_to_be_worse_spoil_nothing() -> None:
     """Five of them were taken by hand."""
     size = np.tile(SIZE, (PLACES, 1))
     worse = [3, 8, 11, 17, 20]
@@ -90,6 +95,7 @@ def test_captures_that_are_known_to_be_worse_spoil_nothing():
         found = fit_display(stated(captures, size, 0.5), "planar", 4)
         assert found.smooth.moved == ()
         agreement = found.smooth.motion_agreement
+        assert agreement is not None
         factors.append([agreement.shift_factor, agreement.turn_factor])
         errors = errors_arcmin(found.mapping, rng)
         true.append(rms(errors[0]))
@@ -105,7 +111,7 @@ def test_captures_that_are_known_to_be_worse_spoil_nothing():
     np.testing.assert_allclose(np.median(factors, axis=0), 1.0, atol=0.35)
 
 
-def test_captures_that_are_known_to_be_worse_are_not_named():
+def test_captures_that_are_known_to_be_worse_are_not_named() -> None:
     rng = np.random.default_rng(0)
     size = np.tile(SIZE, (PLACES, 1))
     size[[3, 11, 17]] *= 40.0
@@ -114,7 +120,7 @@ def test_captures_that_are_known_to_be_worse_are_not_named():
     assert fit_display(stated(captures, size, 0.2), "planar", 4).smooth.moved == ()
 
 
-def test_a_good_capture_that_moved_as_much_as_bad_ones_may_is_named():
+def test_a_good_capture_that_moved_as_much_as_bad_ones_may_is_named() -> None:
     rng = np.random.default_rng(1)
     size = np.tile(SIZE, (PLACES, 1))
     size[[1, 3, 7, 9, 11, 15, 19, 21]] *= 40.0
@@ -125,7 +131,7 @@ def test_a_good_capture_that_moved_as_much_as_bad_ones_may_is_named():
 
 
 @pytest.mark.parametrize("log_sigma", [0.1, 0.5])
-def test_captures_far_beyond_their_prior_are_left_out_and_named(log_sigma):
+def test_captures_far_beyond_their_prior_are_left_out_and_named(log_sigma: float) -> None:
     rng = np.random.default_rng(0)
     size = np.tile(SIZE, (PLACES, 1))
     motion = uniform(rng, size)
@@ -138,11 +144,12 @@ def test_captures_far_beyond_their_prior_are_left_out_and_named(log_sigma):
 
 
 @pytest.mark.parametrize("factor", [0.25, 1.0, 4.0])
-def test_readings_agree_with_a_right_prior_alone(factor):
+def test_readings_agree_with_a_right_prior_alone(factor: float) -> None:
     rng = np.random.default_rng(3)
     size = np.tile(SIZE, (PLACES, 1))
     found = fit_display(stated(moved(display(), uniform(rng, size), rng), factor * size, 0.2), "planar", 4)
     agreement = found.report.motion_agreement
+    assert agreement is not None
     assert agreement.shift_m == pytest.approx(factor * np.sqrt(np.mean(SIZE[3:] ** 2)))
     assert agreement.turn_rad == pytest.approx(factor * np.sqrt(np.mean(SIZE[:3] ** 2)))
     assert found.report.wobble_urad == pytest.approx(1e6 * agreement.turn_factor * agreement.turn_rad)
@@ -154,7 +161,7 @@ def test_readings_agree_with_a_right_prior_alone(factor):
         assert (agreement.turn_factor < 0.8) if factor > 1 else (agreement.turn_factor > 1.25)
 
 
-def test_each_axis_has_its_own_size():
+def test_each_axis_has_its_own_size() -> None:
     """A camera that rolls, and is known to do nothing else."""
     rng = np.random.default_rng(0)
     size = np.tile([1e-7, 1e-7, 1e-3, 1e-7, 1e-7, 1e-7], (PLACES, 1))
@@ -165,11 +172,11 @@ def test_each_axis_has_its_own_size():
     assert np.abs(turned[:, :5]).max() < 1e-6
 
 
-def test_a_fit_without_motions_states_none():
+def test_a_fit_without_motions_states_none() -> None:
     assert fit_display(display(), "planar", 4).report.motion_agreement is None
 
 
-def test_visits_of_a_position_move_apart_and_stay_one_position():
+def test_visits_of_a_position_move_apart_and_stay_one_position() -> None:
     """Each target pose is photographed twice from each position; the second time the camera stands elsewhere."""
     once = see_through_captures(grid_in_plane(5, 5))
     first = once.visits[1]
@@ -181,7 +188,7 @@ def test_visits_of_a_position_move_apart_and_stay_one_position():
     assert found.smooth.posterior.group_mean.shape == (4 * PLACES, 6)
     assert found.report.viewpoints == PLACES
     assert sum(each.captures for each in found.report.held_out) == 2 * PLACES
-    assert found.report.motion_agreement.shift_sigmas < 3.0
-    assert found.report.one_more.predicted_arcmin < found.report.predicted_arcmin
+    assert present(found.report.motion_agreement).shift_sigmas < 3.0
+    assert present(found.report.one_more).predicted_arcmin < found.report.predicted_arcmin
     # One motion for both visits leaves the difference of the two to the noise.
     assert fit_see_through(replace(captures, visit=-1), "planar", 3).smooth.noise > 1.5 * found.smooth.noise

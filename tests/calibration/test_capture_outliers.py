@@ -1,13 +1,17 @@
 """Captures that were exchanged, or whose camera stood elsewhere, and dots beside their place are told by the others."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from wlr_render.calibration.photograph_captures import display_outliers, dot_inliers, see_through_outliers
-from wlr_render.captures.correspondences import select
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, select
+from wlr_render.captures.feature_captures import FeatureCaptures
 from wlr_render.geometry.directions import ARCMIN, normalised
+from wlr_render.numerics.arrays import IntArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
@@ -16,7 +20,7 @@ from wlr_render.simulation.simulate_captures import simulate_display, simulate_s
 
 
 @pytest.fixture(scope="module", params=["freeform40", "northstar"])
-def captures(request):
+def captures(request: pytest.FixtureRequest) -> tuple[DisplayCaptures, SeeThroughCaptures]:
     truth = traced_eye(load_device(request.param), "right")
     setup = CaptureSetup(truth, 0.1, grid=(10, 8))
     places = viewpoints.planar(truth.eye_box, setup.field.reach, 25)
@@ -24,23 +28,23 @@ def captures(request):
     return simulate_display(setup, places, rng), simulate_see_through(setup, places, rng)
 
 
-def moved_by(captures, rows, shift):
+def moved_by(captures: FeatureCaptures, rows: slice, shift: Sequence[Any]) -> FeatureCaptures:
     viewpoint = captures.viewpoint.copy()
     viewpoint[rows] += shift
     return replace(captures, viewpoint=viewpoint)
 
 
-def photographs(see_through):
+def photographs(see_through: SeeThroughCaptures) -> IntArray:
     return see_through.target_pose * 100 + see_through.capture
 
 
-def test_sound_captures_are_left_alone(captures):
+def test_sound_captures_are_left_alone(captures: tuple[DisplayCaptures, SeeThroughCaptures]) -> None:
     display, see_through = captures
     assert display_outliers(display) == []
     assert see_through_outliers(see_through, photographs(see_through)) == []
 
 
-def test_exchanged_sets_of_the_panel_are_both_named(captures):
+def test_exchanged_sets_of_the_panel_are_both_named(captures: tuple[DisplayCaptures, SeeThroughCaptures]) -> None:
     display, _ = captures
     first, second = display.capture == 3, display.capture == 9
     viewpoint = display.viewpoint.copy()
@@ -48,7 +52,9 @@ def test_exchanged_sets_of_the_panel_are_both_named(captures):
     assert {each.group for each in display_outliers(replace(display, viewpoint=viewpoint))} == {3, 9}
 
 
-def test_a_photograph_from_elsewhere_is_named_with_its_size(captures):
+def test_a_photograph_from_elsewhere_is_named_with_its_size(
+    captures: tuple[DisplayCaptures, SeeThroughCaptures],
+) -> None:
     _, see_through = captures
     number = photographs(see_through)
     # 2 mm to the right are 17' at 0.4 m, where the first target stands.
@@ -58,27 +64,27 @@ def test_a_photograph_from_elsewhere_is_named_with_its_size(captures):
 
 
 @pytest.mark.parametrize("places", [4, 13, 15])
-def test_few_places_raise_no_false_alarm(captures, places):
+def test_few_places_raise_no_false_alarm(captures: tuple[DisplayCaptures, SeeThroughCaptures], places: int) -> None:
     """A model with hardly more places than terms predicts the outermost of them badly."""
     display, _ = captures
     assert display_outliers(select(display, display.capture < places)) == []
 
 
-def test_where_all_disagree_few_or_none_are_named(captures):
+def test_where_all_disagree_few_or_none_are_named(captures: tuple[DisplayCaptures, SeeThroughCaptures]) -> None:
     display, _ = captures
     rng = np.random.default_rng(2)
     shift = rng.normal(0, 0.005, (25, 3))[display.capture]
     assert len(display_outliers(moved_by(display, slice(None), shift))) <= 5
 
 
-def four_photographs():
+def four_photographs() -> SeeThroughCaptures:
     truth = traced_eye(load_device("northstar"), "right")
     setup = CaptureSetup(truth, 0.05, grid=(14, 12))
     places = viewpoints.planar(truth.eye_box, setup.field.reach, 4)
     return simulate_see_through(setup, places, np.random.default_rng(1))
 
 
-def test_dots_that_are_off_are_found_and_no_others():
+def test_dots_that_are_off_are_found_and_no_others() -> None:
     captures = four_photographs()
     photograph = captures.target_pose * 10 + captures.capture
     rng = np.random.default_rng(3)
@@ -90,7 +96,7 @@ def test_dots_that_are_off_are_found_and_no_others():
     assert np.array_equal(dot_inliers(spoilt, photograph), ~off)
 
 
-def test_dots_that_are_stated_to_be_unsure_are_left_out():
+def test_dots_that_are_stated_to_be_unsure_are_left_out() -> None:
     captures = four_photographs()
     photograph = captures.target_pose * 10 + captures.capture
     unsure = np.random.default_rng(4).random(len(captures)) < 0.05
@@ -98,7 +104,7 @@ def test_dots_that_are_stated_to_be_unsure_are_left_out():
     assert np.array_equal(dot_inliers(replace(captures, sigma_arcmin=sigma), photograph), ~unsure)
 
 
-def test_a_photograph_of_few_dots_is_not_judged():
+def test_a_photograph_of_few_dots_is_not_judged() -> None:
     captures = four_photographs()
     photograph = np.arange(len(captures)) // 5
     assert dot_inliers(captures, photograph).all()

@@ -1,15 +1,19 @@
 """Errors that all captures share, in the covariance of fitted models: against fits to captures that are off by them."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from present import present
 
 from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.fit_eye import calibrate
+from wlr_render.calibration.fit_eye import Calibration, calibrate
 from wlr_render.captures.correspondences import Captures
-from wlr_render.captures.feature_captures import CommonErrors
+from wlr_render.captures.feature_captures import CommonErrors, FeatureCaptures
 from wlr_render.geometry.directions import ARCMIN
+from wlr_render.mappings import Eye
 from wlr_render.models.registration import UNSHARED, model_registration_covariance
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -20,7 +24,7 @@ SOURCES = ("stage", "stage", "targets")
 OFFSET_MM = np.array([0.0, 0.1, 0.2])
 
 
-def simulated(seed=1, places=9):
+def simulated(seed: int = 1, places: int = 9) -> tuple[Eye, Captures]:
     truth = traced_eye(load_device("birdbath28"), "right")
     setup = CaptureSetup(truth, 0.25, grid=(9, 8))
     positions = setup.camera_positions("planar", places)
@@ -28,8 +32,9 @@ def simulated(seed=1, places=9):
     return truth, Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
-def stated(part, target_m=1e-3):
+def stated(part: FeatureCaptures | None, target_m: float = 1e-3):
     """With a common error of the viewpoint in y and z, as large as `OFFSET_MM`, and of all targets along y."""
+    assert part is not None
     names, poses = np.unique(part.capture), np.unique(getattr(part, "target_pose", np.zeros(0, int)))
     motion = np.zeros((len(names), 6, 3))
     motion[:, 4, 0], motion[:, 5, 1] = 1e-3 * OFFSET_MM[1:]
@@ -38,15 +43,16 @@ def stated(part, target_m=1e-3):
     return dataclasses.replace(part, common=CommonErrors(SOURCES, names, motion, target_pose=poses, target=target))
 
 
-def with_common(captures):
+def with_common(captures: Captures) -> Captures:
     return Captures(stated(captures.display), stated(captures.see_through))
 
 
-def off_by(captures, variables):
+def off_by(captures: Captures, variables: NDArray[Any]) -> Captures:
     """The captures as they state if the common errors have these values."""
     parts = []
     for part in (captures.display, captures.see_through):
-        changes = part.common.changes(part, slice(None))
+        assert part is not None
+        changes = present(part.common).changes(part, slice(None))
         moved = {"viewpoint": part.viewpoint + changes.viewpoint @ variables}
         if changes.point is not None:
             moved["point"] = part.point + changes.point @ variables
@@ -55,14 +61,14 @@ def off_by(captures, variables):
 
 
 @pytest.fixture(scope="module")
-def session():
+def session() -> tuple[Any, Any, Calibration]:
     truth, captures = simulated()
     captures = with_common(captures)
     return truth, captures, calibrate(captures)
 
 
 @pytest.fixture(scope="module")
-def tested(session):
+def tested(session: tuple[Any, Any, Calibration]) -> tuple[Any, Any, Any, Any]:
     """Pixels, viewpoints in the middle of the eye box, and real points that are seen there in truth."""
     truth, _, _ = session
     rng = np.random.default_rng(5)
@@ -73,13 +79,15 @@ def tested(session):
     return pixel, viewpoint, ray[:, :3] + 1.5 * ray[:, 3:], seen
 
 
-def rms(values):
+def rms(values) -> float:
     return float(np.sqrt(np.mean(np.sum(values**2, axis=-1))))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("variable", [0, 1, 2])
-def test_shared_deviation_is_the_change_of_a_fit_to_captures_that_are_off(session, tested, variable):
+def test_shared_deviation_is_the_change_of_a_fit_to_captures_that_are_off(
+    session: tuple[Any, Any, Calibration], tested: tuple[Any, Any, Any, Any], variable: int
+) -> None:
     _, captures, fit = session
     pixel, viewpoint, point, _ = tested
     values = np.eye(3)[variable]
@@ -95,32 +103,36 @@ def test_shared_deviation_is_the_change_of_a_fit_to_captures_that_are_off(sessio
         assert rms(found - expected) < 0.03 + 0.05 * rms(expected), (side, rms(expected))
 
 
-def test_viewpoints_that_are_off_are_predicted(tested):
+def test_viewpoints_that_are_off_are_predicted(tested: tuple[Any, Any, Any, Any]) -> None:
     """Offsets of one sigma in y and z: no residual shows them, and the prediction follows the truth."""
     pixel, viewpoint, _, seen = tested
     _, exact = simulated(places=25)
     captures, true, predicted = with_common(exact), [], []
     for signs in ((1.0, 1.0, 0.0), (1.0, -1.0, 0.0)):
-        display = fit_display(off_by(captures, np.array(signs)).display).mapping
+        display = fit_display(present(off_by(captures, np.array(signs)).display)).mapping
         true.append(rms(display.view_dir_of_pixel(pixel, viewpoint).value - seen) / ARCMIN)
         predicted.append(np.sqrt(np.mean(display.sigma(pixel, viewpoint) ** 2)))
     size = np.sqrt(np.mean(np.square(true)))
     assert 0.8 < np.sqrt(np.mean(np.square(predicted))) / size < 1.25
-    white = fit_display(exact.display).mapping.sigma(pixel, viewpoint)
+    white = fit_display(present(exact.display)).mapping.sigma(pixel, viewpoint)
     assert np.sqrt(np.mean(white**2)) < 0.5 * size
 
 
-def test_mean_and_noise_do_not_depend_on_stated_common_errors(session, tested):
+def test_mean_and_noise_do_not_depend_on_stated_common_errors(
+    session: tuple[Any, Any, Calibration], tested: object
+) -> None:
     """A fit cannot see what all captures share."""
     _, _, fit = session
     other = calibrate(simulated()[1])
     for one, two in ((fit.display, other.display), (fit.see_through, other.see_through)):
+        assert one is not None
+        assert two is not None
         np.testing.assert_array_equal(one.smooth.polynomial.coefficients, two.smooth.polynomial.coefficients)
         assert one.report.held_out_arcmin == two.report.held_out_arcmin
         assert one.report.predicted_arcmin > two.report.predicted_arcmin
 
 
-def test_registration_by_source(session, tested):
+def test_registration_by_source(session: tuple[Any, Any, Calibration], tested: tuple[Any, Any, Any, Any]) -> None:
     """Targets that are off by 1 mm move the see-through of points at 1.5 m, not the display."""
     _, _, fit = session
     pixel, viewpoint, point, _ = tested

@@ -1,24 +1,31 @@
 import dataclasses
 import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from calibration.prescribed_eyes import captured, prescription
 from calibration.toy_device import EYE_BOX, display_captures, positions_in_plane, see_through_captures
+from present import present
 
 from benchmarks.wrong_headset import wrong_headset
 from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.fit_eye import calibrate, eye_trends, fit_kinds, fit_with_trends
+from wlr_render.calibration.fit_eye import Calibration, EyeTrends, calibrate, eye_trends, fit_kinds, fit_with_trends
 from wlr_render.calibration.fit_prescription import fit_assembly
 from wlr_render.captures.correspondences import Captures
-from wlr_render.captures.feature_captures import CaptureMotionPrior
+from wlr_render.captures.feature_captures import CaptureMotionPrior, FeatureCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
+from wlr_render.mappings import Eye
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.models.model_place import NOWHERE
 from wlr_render.models.spread import PRESCRIPTION
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
+from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay, traced_eye
 from wlr_render.simulation import viewpoints
@@ -28,31 +35,34 @@ from wlr_render.simulation.simulate_captures import simulate_display, simulate_s
 CAPTURES = Captures(display_captures(positions_in_plane(12)), see_through_captures(positions_in_plane(12)))
 
 
-def test_eye_fit_names_what_it_is_and_goes_through_a_file(tmp_path):
+def test_eye_fit_names_what_it_is_and_goes_through_a_file(tmp_path: Path) -> None:
     eye = calibrate(CAPTURES, "planar", 2, 1)
     assert eye.mappings.name == "toy (planar)"
     path = save_eye_models(tmp_path / "right.json", [eye.model()])
     loaded = load_eye_model(path)
     assert loaded.device == "toy"
-    assert loaded.report["display"]["residual_px"]["rms"] == eye.display.report.residual_px.rms
+    assert loaded.report["display"]["residual_px"]["rms"] == present(present(eye.display).report.residual_px).rms
+    assert CAPTURES.display is not None
     pixel, viewpoint = CAPTURES.display.pixel, CAPTURES.display.viewpoint
     before = eye.mappings.display.view_dir_of_pixel(pixel, viewpoint).value
     np.testing.assert_array_equal(loaded.mappings.display.view_dir_of_pixel(pixel, viewpoint).value, before)
 
 
-def test_point_per_pixel_goes_with_a_static_see_through():
+def test_point_per_pixel_goes_with_a_static_see_through() -> None:
     eye = calibrate(CAPTURES, "point-per-pixel", 3, 2)
     assert eye.mappings.see_through.place == NOWHERE
-    assert (eye.display.kind, eye.see_through.kind) == ("point-per-pixel", "static")
+    assert (present(eye.display).kind, present(eye.see_through).kind) == ("point-per-pixel", "static")
 
 
-def test_report_is_json_ready():
+def test_report_is_json_ready() -> None:
     record = calibrate(CAPTURES, "planar", 1, 1).model().report
     assert json.loads(json.dumps(record))["see_through"]["residual_px"] is None
 
 
 @pytest.mark.parametrize(("missing", "lacking"), [("display", "display"), ("see_through", "see-through")])
-def test_captures_of_one_side_give_its_model_and_the_other_side_refuses_every_use(tmp_path, missing, lacking):
+def test_captures_of_one_side_give_its_model_and_the_other_side_refuses_every_use(
+    tmp_path: Path, missing: str, lacking: str
+) -> None:
     fit = calibrate(dataclasses.replace(CAPTURES, **{missing: None}), "planar", 1, 1)
     both = calibrate(CAPTURES, "planar", 1, 1).mappings
     (kept,) = {"display", "see_through"} - {missing}
@@ -75,16 +85,16 @@ def test_captures_of_one_side_give_its_model_and_the_other_side_refuses_every_us
 
 
 @pytest.mark.parametrize("kind", ["grey-box", "prescription"])
-def test_a_kind_that_needs_a_prescription_says_so(kind):
+def test_a_kind_that_needs_a_prescription_says_so(kind: str) -> None:
     with pytest.raises(BadInputError, match=f"a {kind} model needs the device's prescription"):
         calibrate(CAPTURES, kind)
 
 
-def display_errors(fit, truth):
+def display_errors(fit: Calibration, truth: EyeOptics) -> tuple[FloatArray, Any]:
     """Angles (n,) in arcminutes between model and truth at random viewpoints, and those that the model expects."""
     rng = np.random.default_rng(2)
     viewpoint = viewpoints.random_in_eye_box(truth.eye_box, 64, rng)[:, None]
-    directions = truth.field.directions(15, 15)
+    directions = present(truth.field).directions(15, 15)
     view_dir = directions[rng.integers(0, len(directions), (64, 32))]
     seen = mapping_error.observations_of_dirs(TracedDisplay(truth, 0.55), viewpoint, view_dir)
     place = np.broadcast_to(seen.viewpoint, (*seen.pixel.shape[:-1], 3))
@@ -92,11 +102,11 @@ def display_errors(fit, truth):
     return arcmin_between(found, seen.view_dir), fit.mappings.display.sigma(seen.pixel, place)
 
 
-def rms(values):
+def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.nanmean(np.square(values))))
 
 
-def test_five_positions_and_a_prescription_with_a_wrong_shape_are_enough():
+def test_five_positions_and_a_prescription_with_a_wrong_shape_are_enough() -> None:
     """What 25 positions gave without one is 0.12'. The stage moves the camera by 10 um and 30 microradians."""
     truth = wrong_headset(prescription("northstar"), np.random.default_rng(0), shape=0.002)
     captures = captured(truth, 5, 0.25, stage_error_m=10e-6, stage_turn_rad=30e-6)
@@ -111,7 +121,7 @@ def test_five_positions_and_a_prescription_with_a_wrong_shape_are_enough():
     assert "and a small smooth remainder explain them" in kinds.sentence
 
 
-def test_where_the_prescription_is_right_nothing_is_left_to_the_smooth_remainder():
+def test_where_the_prescription_is_right_nothing_is_left_to_the_smooth_remainder() -> None:
     truth = wrong_headset(prescription("northstar"), np.random.default_rng(0))
     kinds = fit_kinds(captured(truth, 9, 1.0), prescription("northstar"))
     assert kinds.best == "prescription"
@@ -121,21 +131,22 @@ def test_where_the_prescription_is_right_nothing_is_left_to_the_smooth_remainder
     assert kinds.log10_odds("prescription") > 10.0
 
 
-def test_evidence_compares_kinds_on_the_same_readings():
+def test_evidence_compares_kinds_on_the_same_readings() -> None:
     """An outlier has the same weight in each kind, also one that is only somewhat improbable."""
     truth = wrong_headset(prescription("birdbath28"), np.random.default_rng(0))
     captures = captured(truth, 5, 1.0)
+    assert captures.display is not None
     pixel = captures.display.pixel.copy()
     pixel[::40] += np.linspace(1.0, 64.0, len(pixel[::40]))[:, None]
     spoilt = Captures(dataclasses.replace(captures.display, pixel=pixel), captures.see_through)
     kinds = fit_kinds(spoilt, prescription("birdbath28"))
-    weights = [fit.display.smooth.kept for fit in kinds.fits.values()]
+    weights = [present(fit.display).smooth.kept for fit in kinds.fits.values()]
     assert weights[0][::40][-1] == 0.0
     assert np.any((weights[0] > 0.0) & (weights[0] < 1.0))
     assert all(np.array_equal(weights[0], other) for other in weights)
 
 
-def test_the_corrected_prescription_is_in_the_model_file(tmp_path):
+def test_the_corrected_prescription_is_in_the_model_file(tmp_path: Path) -> None:
     truth = wrong_headset(prescription("birdbath28"), np.random.default_rng(0))
     fit = calibrate(captured(truth, 5, 0.25), "prescription", prescription=prescription("birdbath28"))
     report = load_eye_model(save_eye_models(tmp_path / "right.json", [fit.model()])).report["prescription"]
@@ -150,7 +161,7 @@ def test_the_corrected_prescription_is_in_the_model_file(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def drawn():
+def drawn() -> tuple[EyeTrends, list[Calibration]]:
     """Fits to captures that differ in their noise alone, by trends of the same optics."""
     optics = prescription("birdbath28")
     truth = assembled(optics, 0.3 * ASSEMBLY_SIZES * np.random.default_rng(4).normal(size=12))
@@ -159,68 +170,78 @@ def drawn():
     return trends, [fit_with_trends(each, "prescription", trends) for each in captures]
 
 
-def test_both_models_have_the_same_posterior_of_the_assembly_errors(drawn):
+def test_both_models_have_the_same_posterior_of_the_assembly_errors(drawn: tuple[EyeTrends, list[Calibration]]) -> None:
     trends, fits = drawn
     found = fits[0].assembly
+    assert found is not None
     root = np.linalg.cholesky(found.covariance / np.outer(ASSEMBLY_SIZES, ASSEMBLY_SIZES))
     for fitted, trend in ((fits[0].display, trends.display), (fits[0].see_through, trends.see_through)):
         inputs = np.random.default_rng(0).uniform(trend.mean.box.low, trend.mean.box.high, (30, 4))
         expected = trend.about(found.values / ASSEMBLY_SIZES, root)
+        assert fitted is not None
         np.testing.assert_allclose(fitted.smooth.polynomial(inputs), expected.mean(inputs), atol=1e-9)
         outputs = fitted.smooth.polynomial.coefficients.shape[1]
         change = expected.by_parameter(inputs).reshape(30, outputs, 12)
+        assert fitted.mapping.spread is not None
         np.testing.assert_allclose(
             fitted.mapping.spread.covariance(inputs), change @ change.transpose(0, 2, 1), rtol=1e-4, atol=1e-13
         )
         assert fitted.mapping.spread.sources[:12] == (PRESCRIPTION,) * 12
 
 
-def test_errors_of_display_and_see_through_vary_together_as_the_shared_variables_say(drawn):
+def test_errors_of_display_and_see_through_vary_together_as_the_shared_variables_say(
+    drawn: tuple[EyeTrends, list[Calibration]],
+) -> None:
     trends, fits = drawn
     display, see_through = trends.display.mean.box, trends.see_through.mean.box
     rng = np.random.default_rng(0)
     shown = rng.uniform(display.low, display.high, (30, 4))
     seen = rng.uniform(see_through.low, see_through.high, (30, 4))
 
-    def values(fit):
+    def values(fit) -> tuple[Any, Any]:
         far = fit.see_through.mapping.deviation(seen)[:, :2]
         return fit.display.mapping.forward(shown).ravel() / ARCMIN, far.ravel() / ARCMIN
 
     errors = [np.stack(each) for each in zip(*map(values, fits), strict=True)]
     display_error, see_through_error = (each - each.mean(axis=0) for each in errors)
     together = display_error.T @ see_through_error / (len(fits) - 1)
-    of_display = fits[0].display.mapping.spread.unshared_and_shared(shown)[1].reshape(60, -1) / ARCMIN
-    of_see_through = fits[0].see_through.mapping.spread.unshared_and_shared(seen)[1][:, :2].reshape(60, -1) / ARCMIN
+    of_display = present(present(fits[0].display).mapping.spread).unshared_and_shared(shown)[1].reshape(60, -1) / ARCMIN
+    of_see_through = (
+        present(present(fits[0].see_through).mapping.spread).unshared_and_shared(seen)[1][:, :2].reshape(60, -1)
+        / ARCMIN
+    )
     predicted = of_display @ of_see_through.T
     assert np.sum(together * predicted) / np.sum(predicted**2) == pytest.approx(1.0, abs=0.35)
     assert np.corrcoef(together.ravel(), predicted.ravel())[0, 1] > 0.6
 
 
-def test_display_and_see_through_are_of_one_stage():
+def test_display_and_see_through_are_of_one_stage() -> None:
     """Five positions alone cannot tell motions of 17 um from a shape that is wrong; see-through knows them."""
     truth = wrong_headset(prescription("birdbath28"), np.random.default_rng(2), shape=0.002)
     fit = calibrate(
         captured(truth, 5, 0.25, seed=102, grid=(25, 21)), "grey-box", prescription=prescription("birdbath28")
     )
-    for name, (size, sigma) in fit.see_through.smooth.stage.items():
+    for name, (size, sigma) in present(fit.see_through).smooth.stage.items():
+        assert fit.display is not None
         assert fit.display.smooth.stage[name][0] == pytest.approx(size, abs=sigma)
-    assert fit.display.smooth.shift_m < 3e-6
+    assert present(fit.display).smooth.shift_m < 3e-6
     assert rms(display_errors(fit, truth)[0]) < 0.05
 
 
 @pytest.mark.parametrize("kind", ["planar", "grey-box"])
-def test_captures_of_a_display_on_a_worse_stage_are_not_accused(kind):
+def test_captures_of_a_display_on_a_worse_stage_are_not_accused(kind: str) -> None:
     truth = wrong_headset(prescription("birdbath28"), np.random.default_rng(2), shape=0.002)
     captures = captured(truth, 16, 0.25, seed=102, grid=(15, 13))
+    assert captures.display is not None
     shift = np.random.default_rng(5).normal(0, 4e-5, (16, 3))[captures.display.capture]
     display = dataclasses.replace(captures.display, viewpoint=captures.display.viewpoint + shift)
     fit = calibrate(Captures(display, captures.see_through), kind, prescription=prescription("birdbath28"))
-    assert fit.display.smooth.moved == fit.see_through.smooth.moved == ()
+    assert present(fit.display).smooth.moved == present(fit.see_through).smooth.moved == ()
     error, predicted = map(rms, display_errors(fit, truth))
     assert 0.7 < error / predicted < 1.4
 
 
-def with_motion(side):
+def with_motion(side: FeatureCaptures) -> FeatureCaptures:
     """Captures that state how far the camera moved in each."""
     numbers = np.unique(side.visits[0])
     return dataclasses.replace(
@@ -229,18 +250,18 @@ def with_motion(side):
 
 
 @pytest.mark.parametrize("stated", [with_motion, lambda side: side], ids=["stated", "not-stated"])
-def test_the_display_is_fitted_with_the_stage_that_see_through_found(stated):
+def test_the_display_is_fitted_with_the_stage_that_see_through_found(stated: Callable[..., Any]) -> None:
     sides = (make(positions_in_plane(12), sigma_arcmin=0.1) for make in (display_captures, see_through_captures))
     captures = Captures(*map(stated, sides))
     fit = calibrate(captures, "planar", 2, 1)
     given, alone = (
-        fit_display(captures.display, "planar", 2, stage=stage).smooth.posterior.log_evidence
-        for stage in (fit.see_through.smooth.stage, None)
+        fit_display(present(captures.display), "planar", 2, stage=stage).smooth.posterior.log_evidence
+        for stage in (present(fit.see_through).smooth.stage, None)
     )
-    assert fit.display.smooth.posterior.log_evidence == given != alone
+    assert present(fit.display).smooth.posterior.log_evidence == given != alone
 
 
-def few_places_of_freeform40(seed):
+def few_places_of_freeform40(seed: int) -> tuple[Eye, Captures]:
     """16 places of an accurate camera whose stage moves by what the captures state, with tails and rounding."""
     truth = traced_eye(load_device("freeform40"), "right")
     setup = CaptureSetup(truth, 0.0, 5e-6, truth.field, (9, 8), stage_turn_rad=1.4e-5)
@@ -257,9 +278,10 @@ def few_places_of_freeform40(seed):
 
 
 @pytest.mark.slow
-def test_few_places_of_strong_optics_neither_inflate_the_stage_nor_the_predicted_error():
+def test_few_places_of_strong_optics_neither_inflate_the_stage_nor_the_predicted_error() -> None:
     truth, captures = few_places_of_freeform40(seed=3)
     fit = calibrate(captures)
+    assert fit.display is not None
     assert fit.display.smooth.shift_m < 12e-6
     rng = np.random.default_rng(4)
     pixel = rng.uniform(0.05, 0.95, (400, 2)) * truth.display.panel.size_px

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,21 +12,23 @@ from calibration.toy_device import (
     positions_in_plane,
     see_through_captures,
 )
+from numpy.typing import NDArray
 
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.calibration.smooth_prior import NOISE_FLOOR_ARCMIN
-from wlr_render.captures.correspondences import concatenate, select
+from wlr_render.captures.correspondences import SeeThroughCaptures, concatenate, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, normalised
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.geometry.rays import at_z, distance_to_point, split
+from wlr_render.numerics.arrays import FloatArray
 
 RNG = np.random.default_rng(9)
 BASE = places_among(positions_in_plane(12), 40, seed=8)
 TANGENTS = RNG.uniform([-0.38, -0.28], [0.38, 0.28], (40, 2))
 
 
-def truth_at(depth, height):
+def truth_at(depth: float, height: float) -> tuple[NDArray[Any], NDArray[Any], FloatArray]:
     """Points, viewpoints off the plane and view directions of the toy itself, (40, 3) each."""
     a, b = bend_of(BASE, TANGENTS)
     point = np.column_stack([BASE + b + depth * (TANGENTS + a), np.full(40, PLANE.z - depth)])
@@ -33,13 +36,13 @@ def truth_at(depth, height):
     return point, viewpoint, dir_of_tangents(TANGENTS)
 
 
-def straight(base, tangents):
+def straight(base, tangents: object) -> tuple[Any, Any]:
     return np.zeros_like(base), np.zeros_like(base)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3])
 @pytest.mark.parametrize("height", [0.0, 0.004])
-def test_planar_fit_recovers_a_device_of_its_own_kind_at_every_depth(tilt, height):
+def test_planar_fit_recovers_a_device_of_its_own_kind_at_every_depth(tilt: float, height: float) -> None:
     found = fit_see_through(see_through_captures(positions_in_plane(12), tilt=tilt), "planar", 2)
     mapping, report = found.mapping, found.report
     for depth in (0.3, 1.0, 10.0):
@@ -53,7 +56,7 @@ def test_planar_fit_recovers_a_device_of_its_own_kind_at_every_depth(tilt, heigh
     assert report.residual_px is None
 
 
-def test_any_number_of_target_poses_goes_into_one_fit():
+def test_any_number_of_target_poses_goes_into_one_fit() -> None:
     captures = see_through_captures(positions_in_plane(12), depths=(0.4, 0.7, 1.5, 3.0))
     shuffled = select(captures, RNG.permutation(len(captures))[: len(captures) // 2])
     mapping = fit_see_through(shuffled, "planar", 2).mapping
@@ -62,7 +65,7 @@ def test_any_number_of_target_poses_goes_into_one_fit():
 
 
 @pytest.mark.parametrize("kind", ["planar", "volumetric", "static"])
-def test_no_optics_is_no_deviation(kind):
+def test_no_optics_is_no_deviation(kind: str) -> None:
     levels = EYE_BOX.centre[2] + np.linspace(-0.002, 0.002, 12)
     captures = see_through_captures(positions_in_plane(12), bend=straight)
     viewpoint = np.column_stack([captures.viewpoint[:, :2], levels[captures.capture]])
@@ -72,7 +75,7 @@ def test_no_optics_is_no_deviation(kind):
     np.testing.assert_allclose(mapping.deviation.coefficients, 0.0, atol=1e-15)
 
 
-def test_volumetric_fit_comes_close_to_a_device_that_is_polynomial_on_a_plane():
+def test_volumetric_fit_comes_close_to_a_device_that_is_polynomial_on_a_plane() -> None:
     positions = positions_in_plane(30)
     captures = concatenate(
         [raised(see_through_captures(positions), height) for height in (-0.003, -0.001, 0.001, 0.003)]
@@ -85,14 +88,14 @@ def test_volumetric_fit_comes_close_to_a_device_that_is_polynomial_on_a_plane():
     assert distance_to_point(ray, point).max() < 1e-5
 
 
-def raised(captures, height):
+def raised(captures: SeeThroughCaptures, height: float) -> SeeThroughCaptures:
     """The same rays, each seen from `height` metres behind the plane."""
     along = height / -captures.view_dir[:, 2:]
     moved = captures.viewpoint - along * captures.view_dir
     return replace(captures, viewpoint=moved, sigma_arcmin=0.0)
 
 
-def test_static_fit_knows_the_nominal_viewpoint_and_bends_about_the_actual_one():
+def test_static_fit_knows_the_nominal_viewpoint_and_bends_about_the_actual_one() -> None:
     captures = see_through_captures(np.vstack([positions_in_plane(5), EYE_BOX.centre[:2]]))
     found = fit_see_through(captures, "static", 2)
     mapping, report = found.mapping, found.report
@@ -112,15 +115,15 @@ def test_static_fit_knows_the_nominal_viewpoint_and_bends_about_the_actual_one()
         ("static", (0.7, 0.7), "or at one depth; spread them over the field, and photograph the target nearer"),
     ],
 )
-def test_targets_at_one_depth_are_refused_with_the_remedy(kind, depths, sentence):
+def test_targets_at_one_depth_are_refused_with_the_remedy(kind: str, depths: tuple[float, ...], sentence: str) -> None:
     with pytest.raises(BadInputError, match=sentence):
         fit_see_through(see_through_captures(positions_in_plane(12), depths=depths), kind)
 
 
-def test_a_fit_on_a_tilted_base_plane_recovers_a_lens():
+def test_a_fit_on_a_tilted_base_plane_recovers_a_lens() -> None:
     """A thin lens of -2 m, 0.05 m in front of the camera positions: of degree 3 on any plane, of 2 on theirs."""
 
-    def bend(base, tangents):
+    def bend(base, tangents) -> tuple[Any, Any]:
         bent = (base + 0.05 * tangents - EYE_BOX.centre[:2]) / 2.0
         return bent, -0.05 * bent
 
@@ -137,7 +140,7 @@ def test_a_fit_on_a_tilted_base_plane_recovers_a_lens():
     assert distance_to_point(found, split(at_z(expected, -2.0))[0]).max() < 1e-8
 
 
-def test_base_plane_beyond_the_target_and_unknown_kinds_are_refused():
+def test_base_plane_beyond_the_target_and_unknown_kinds_are_refused() -> None:
     captures = see_through_captures(positions_in_plane(6))
     with pytest.raises(BadInputError, match="lies beyond some target points"):
         fit_see_through(captures, "planar", 1, BasePlane(-0.5))
@@ -145,7 +148,7 @@ def test_base_plane_beyond_the_target_and_unknown_kinds_are_refused():
         fit_see_through(captures, "point-per-pixel", 1)
 
 
-def test_a_base_plane_does_not_matter_to_a_model_that_has_none():
+def test_a_base_plane_does_not_matter_to_a_model_that_has_none() -> None:
     captures = see_through_captures(positions_in_plane(6))
     behind = fit_see_through(captures, "static", 1, BasePlane(-0.5)).mapping
     assert np.array_equal(
@@ -153,7 +156,7 @@ def test_a_base_plane_does_not_matter_to_a_model_that_has_none():
     )
 
 
-def test_noise_is_found_and_straight_rays_stay_straight():
+def test_noise_is_found_and_straight_rays_stay_straight() -> None:
     found = fit_see_through(see_through_captures(positions_in_plane(25), bend=straight, sigma_arcmin=1.0, seed=2))
     assert found.report.noise_arcmin == pytest.approx(1.0, rel=0.03)
     point, viewpoint, _ = truth_at(1.0, 0.0)
@@ -161,14 +164,14 @@ def test_noise_is_found_and_straight_rays_stay_straight():
     assert np.sqrt(np.mean(arcmin_between(seen, normalised(point - viewpoint)) ** 2)) < 0.1
 
 
-def pole(base, tangents):
+def pole(base: object, tangents) -> tuple[FloatArray, FloatArray]:
     """Optics whose coefficients fall slowly with the order in the direction: by 2.2 along x, by 2.9 along y."""
     u, v = (tangents / [0.4, 0.3]).T
     a = 3e-3 * np.stack([1.0 / (1.33 - u), 1.0 / (1.62 - v)], axis=-1)
     return a, 0.1 * a
 
 
-def test_terms_that_the_optics_need_are_found_and_the_predicted_error_is_the_true_one():
+def test_terms_that_the_optics_need_are_found_and_the_predicted_error_is_the_true_one() -> None:
     exact = see_through_captures(places_among(positions_in_plane(12), 40, seed=8), depths=(0.7,), bend=pole)
     fitted = fit_see_through(see_through_captures(grid_in_plane(4, 4), bend=pole, sigma_arcmin=0.1))
     assert fitted.smooth.readings.limits.pixel > 6
@@ -180,12 +183,12 @@ def test_terms_that_the_optics_need_are_found_and_the_predicted_error_is_the_tru
 
 
 @pytest.mark.parametrize("kind", ["planar", "volumetric"])
-def test_precise_captures_outweigh_imprecise_ones(kind):
+def test_precise_captures_outweigh_imprecise_ones(kind: str) -> None:
     """Half the rows have 200 times the noise: a fit weighted by 1 / sigma hardly notices them."""
     positions = positions_in_plane(15)
     heights = (-0.003, 0.0, 0.003) if kind == "volumetric" else (0.0,)
 
-    def at_all_heights(sigma_arcmin, seed):
+    def at_all_heights(sigma_arcmin: float, seed: int) -> SeeThroughCaptures:
         captures = see_through_captures(positions, sigma_arcmin=sigma_arcmin, seed=seed)
         return concatenate([replace(raised(captures, h), sigma_arcmin=captures.sigma_arcmin) for h in heights])
 

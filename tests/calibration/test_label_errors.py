@@ -1,18 +1,23 @@
 """Errors by label: none on sound sessions, and each foreign error by its own label."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from calibration.toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, scattered
+from numpy.typing import NDArray
+from present import present
 
 from wlr_render.calibration import label_errors as label_error_module
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.calibration.label_errors import label_errors
-from wlr_render.captures.correspondences import Captures, SeeThroughCaptures
-from wlr_render.captures.feature_captures import CommonErrors
+from wlr_render.calibration.label_errors import LabelError, label_errors
+from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
+from wlr_render.captures.feature_captures import CommonErrors, FeatureCaptures
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.jobs.headset import open_eye
 from wlr_render.models import registration
@@ -21,20 +26,20 @@ SIGMA = 0.25
 DEPTHS = (0.6, 1.0, 1.7)
 
 
-def places(seed, count):
+def places(seed: int, count: int) -> NDArray[Any]:
     """Positions in random order and off the raster, as `plan` proposes them."""
     rng = np.random.default_rng(seed)
     grid = grid_in_plane(count, count)
     return rng.permutation(grid + rng.uniform(-0.1, 0.1, grid.shape) * EYE_BOX.size[:2])
 
 
-def timed(captures):
+def timed(captures: FeatureCaptures) -> FeatureCaptures:
     """With the times and directions of travel that a session records, visit after visit."""
     visit = captures.visits[1]
     return replace(captures, time_s=30.0 * visit, travel=np.sign(np.sin(2.3 * visit)))
 
 
-def display(seed, count=7):
+def display(seed: int, count: int = 7) -> FeatureCaptures:
     return timed(display_captures(places(seed, count), sigma_arcmin=SIGMA, seed=seed))
 
 
@@ -45,7 +50,7 @@ def drifted(seed):
     return replace(captures, view_dir=dir_of_tangents(captures.tangents + np.outer(warm, [0.6, -0.4]) * ARCMIN))
 
 
-def flickering(seed):
+def flickering(seed: int):
     """A camera that turns to and fro by half an arcminute, faster than any drift of a fit."""
     captures = display(seed)
     slot = np.floor(6.0 * captures.time_s / (captures.time_s.max() + 1.0))
@@ -53,14 +58,14 @@ def flickering(seed):
     return replace(captures, view_dir=dir_of_tangents(captures.tangents + turn))
 
 
-def screwed(seed, size_m=12e-6):
+def screwed(seed, size_m: float = 12e-6):
     """A stage whose axis x has a lead screw with an error."""
     captures = display(seed)
     x, y, z = captures.viewpoint.T
     return replace(captures, viewpoint=np.column_stack([x + size_m * np.sin(2.0 * np.pi * x / 5e-3), y, z]))
 
 
-def board(seed, size_m=0.0):
+def board(seed: int, size_m: float = 0.0) -> FeatureCaptures:
     """Captures of one board at all poses; its printing errors are sums of waves shorter than the fit's."""
     rng, base = np.random.default_rng(seed), places(seed, 4)
     dot = np.stack(np.meshgrid(np.linspace(-0.25, 0.25, 13), np.linspace(-0.18, 0.18, 10)), axis=-1).reshape(-1, 2)
@@ -93,7 +98,7 @@ def board(seed, size_m=0.0):
     )
 
 
-def curled(seed, size_arcmin=0.05):
+def curled(seed: int, size_arcmin: float = 0.05):
     """A board that bends anew at each pose: a few smooth dents, rms over the readings."""
     captures, rng = board(seed), np.random.default_rng([seed, 1])
     dot, off = captures.target_point[:, :2], np.zeros((len(captures), 2))
@@ -105,7 +110,7 @@ def curled(seed, size_arcmin=0.05):
     return replace(captures, view_dir=dir_of_tangents(captures.tangents + off * ARCMIN))
 
 
-def murky(seed):
+def murky(seed: int):
     """Noise of which neighbours in a photograph share a half."""
     captures, rng = display(seed, 5), np.random.default_rng([seed, 2])
     place, shared = captures.pixel / np.ptp(captures.pixel, axis=0), np.zeros((len(captures), 2))
@@ -117,15 +122,15 @@ def murky(seed):
     return replace(captures, view_dir=noisy, sigma_arcmin=np.sqrt(2.0) * SIGMA)
 
 
-def labels_of(fit, captures):
+def labels_of(fit: Callable[..., Any], captures: DisplayCaptures) -> tuple[LabelError, ...]:
     return label_errors(fit(captures, "planar", 3).smooth, captures)[0]
 
 
-def said(found):
+def said(found: tuple[LabelError, ...]) -> list[Any]:
     return [each.label for each in found if each.stands_out]
 
 
-def test_sound_sessions_show_nothing():
+def test_sound_sessions_show_nothing() -> None:
     found = [labels_of(fit_display, display(seed, 4)) for seed in range(10)]
     found += [labels_of(fit_see_through, board(seed)) for seed in range(2)]
     assert [said(each) for each in found if said(each)] == []
@@ -141,14 +146,18 @@ def test_sound_sessions_show_nothing():
         (fit_display, flickering, "time", 0.5),
     ],
 )
-def test_a_foreign_error_is_named_by_its_label(fit, captures, label, size, seed):
+def test_a_foreign_error_is_named_by_its_label(
+    fit: Callable[..., Any], captures: Callable[..., Any], label: str, size: float, seed: int
+) -> None:
     found = labels_of(fit, captures(seed))
     assert said(found) == [label]
     assert found[0].size_arcmin == pytest.approx(size, rel=0.4)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_smooth_error_shows_by_what_neighbouring_groups_have_in_common(seed, monkeypatch):
+def test_a_smooth_error_shows_by_what_neighbouring_groups_have_in_common(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Independent errors of the groups, of which each has little, do not explain it better than noise."""
     captures = curled(seed)
     smooth = fit_see_through(captures, "planar", 3).smooth
@@ -157,7 +166,7 @@ def test_a_smooth_error_shows_by_what_neighbouring_groups_have_in_common(seed, m
     assert said(label_errors(smooth, captures)[0]) == []
 
 
-def test_noise_that_neighbours_share_is_no_finding():
+def test_noise_that_neighbours_share_is_no_finding() -> None:
     captures = [murky(seed) for seed in range(3)]
     fits = [fit_display(each, "planar", 3).smooth for each in captures]
     assert all(smooth.readings.shared is not None for smooth in fits)
@@ -167,36 +176,36 @@ def test_noise_that_neighbours_share_is_no_finding():
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
 
 
-def test_a_named_error_is_in_the_predicted_one():
+def test_a_named_error_is_in_the_predicted_one() -> None:
     without = fit_display(flickering(0), "planar", 3)
     fit, captures = without.with_label_errors(), without.captures
     (named,) = [each for each in fit.labels if each.matters]
-    assert set(fit.mapping.spread.sources) == {"drift", "stage axes", "direction of travel"}
+    assert set(present(fit.mapping.spread).sources) == {"drift", "stage axes", "direction of travel"}
     sigma, own = (each.mapping.sigma(captures.pixel, captures.viewpoint) for each in (fit, without))
     assert np.sqrt(np.mean(sigma**2 - own**2)) == pytest.approx(named.in_model_arcmin, rel=0.1)
     assert fit.report.predicted_arcmin == fit.predicted_arcmin(fit.mapping) > without.report.predicted_arcmin
 
 
-def test_a_budget_from_the_model_file_names_what_the_labels_do(tmp_path):
+def test_a_budget_from_the_model_file_names_what_the_labels_do(tmp_path: Path) -> None:
     """The flicker bends the display's model alone, the print the world's alone; both models share all variables."""
     fit = calibrate(Captures(flickering(0), board(0, 2e-5)), display_degree=3, see_through_degree=3)
     models = open_eye(str(fit.save(tmp_path / "model.json")))
     rows, others = (np.random.default_rng(0).integers(0, len(each.captures), 300) for each in fit.both)
-    pixel, viewpoint = fit.display.captures.pixel[rows], fit.display.captures.viewpoint[rows]
-    point = fit.see_through.captures.point[others]
+    pixel, viewpoint = present(fit.display).captures.pixel[rows], present(fit.display).captures.viewpoint[rows]
+    point = present(fit.see_through).captures.point[others]
     found = registration.model_registration_covariance(models.display, models.see_through, pixel, viewpoint, point)
     rms = {name: np.sqrt(np.nanmean(np.trace(each, axis1=-2, axis2=-1))) for name, each in found.items()}
     for name, side, label in (
         ("drift", fit.display, "time"),
         ("printing errors of the board", fit.see_through, "dot"),
     ):
-        (named,) = [each.in_model_arcmin for each in side.labels if each.label == label]
+        (named,) = [each.in_model_arcmin for each in present(side).labels if each.label == label]
         assert rms[name] == pytest.approx(named, rel=0.2)
     more = [side.with_positions(viewpoint[:2]) for side in fit.both]
-    assert more[0].spread.sources == more[1].spread.sources == models.display.spread.sources
+    assert present(more[0].spread).sources == present(more[1].spread).sources == models.display.spread.sources
 
 
-def test_an_error_of_the_readings_is_propagated_to_the_model():
+def test_an_error_of_the_readings_is_propagated_to_the_model() -> None:
     printed, exact = (fit_see_through(board(0, size), "planar", 3) for size in (2e-5, 0.0))
     changed = arcmin_between(printed.seen(printed.captures).value, exact.seen(printed.captures).value)
     (named,) = [each for each in label_errors(printed.smooth, printed.captures)[0] if each.stands_out]
@@ -204,7 +213,7 @@ def test_an_error_of_the_readings_is_propagated_to_the_model():
     assert not replace(named, own_arcmin=4.0 * named.in_model_arcmin).matters
 
 
-def test_labels_are_those_that_the_captures_have():
+def test_labels_are_those_that_the_captures_have() -> None:
     bare = labels_of(fit_display, display_captures(places(0, 3), sigma_arcmin=SIGMA))
     assert {each.label for each in bare} == {
         "cell of the panel",
@@ -217,7 +226,7 @@ def test_labels_are_those_that_the_captures_have():
     assert labels_of(fit_display, display_captures(places(0, 3))) == ()  # exact data
 
 
-def test_an_error_that_the_bench_states_is_no_finding():
+def test_an_error_that_the_bench_states_is_no_finding() -> None:
     captures = flickering(0)
     names, first = np.unique(captures.capture, return_index=True)
     motion = np.zeros((len(names), 6, 2))

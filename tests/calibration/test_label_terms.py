@@ -1,21 +1,27 @@
 """Errors by label as unknowns of a fit: found where captures tell them, carried where they do not, and named."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from calibration.toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, see_through_captures
 
 from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_report import ErrorShare, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.calibration.label_terms import board_terms, unseen_errors
+from wlr_render.calibration.label_terms import LabelTerm, board_terms, unseen_errors
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.feature_captures import TARGET_POSES, CommonErrors
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
+from wlr_render.models.fitted_model import FittedSeeThrough
+from wlr_render.numerics.arrays import FloatArray
 
 DEPTHS = (0.4, 0.8, 1.5)
 
 
-def printed(seed, size_m=2e-5, turns_deg=None):
+def printed(seed: int, size_m: float = 2e-5, turns_deg: tuple[float, Any, float] | None = None) -> SeeThroughCaptures:
     """Captures of a board whose dots lie beside their places by random plane waves.
 
     Its poses are fitted to its dots; or it is turned from pose to pose, and its poses are exact.
@@ -37,7 +43,7 @@ def printed(seed, size_m=2e-5, turns_deg=None):
     return replace(captures, point=stated, target_point=target)
 
 
-def errors_arcmin(mapping, rng):
+def errors_arcmin(mapping: FittedSeeThrough, rng: np.random.Generator) -> tuple[FloatArray, Any]:
     """True and predicted error at random real points and viewpoints of the eye box."""
     base = rng.uniform(*EYE_BOX.at(np.array([[-1.0, -1, 0], [1, 1, 0]]))[:, :2], (200, 2))
     tangents, depth = rng.uniform([-0.35, -0.25], [0.35, 0.25], (200, 2)), rng.uniform(*DEPTHS[::2], (200, 1))
@@ -48,7 +54,7 @@ def errors_arcmin(mapping, rng):
     return arcmin_between(seen, dir_of_tangents(tangents)), mapping.sigma(point, viewpoint)
 
 
-def test_the_predicted_error_contains_printing_errors():
+def test_the_predicted_error_contains_printing_errors() -> None:
     ratios = []
     for has_target in (True, False):
         squares = []
@@ -62,8 +68,8 @@ def test_the_predicted_error_contains_printing_errors():
     assert ratios[1] > 1.5 * ratios[0]
 
 
-def test_a_board_that_is_turned_tells_its_print_from_the_optics():
-    def rms(turn_deg):
+def test_a_board_that_is_turned_tells_its_print_from_the_optics() -> None:
+    def rms(turn_deg: float):
         fits = [fit_see_through(printed(seed, 6e-5, (0.0, turn_deg, 0.0)), "planar", 4) for seed in (1, 2)]
         errors = [errors_arcmin(each.mapping, np.random.default_rng(seed)) for seed, each in enumerate(fits)]
         return np.sqrt(np.mean(np.square(errors), axis=(0, 2)))
@@ -73,9 +79,9 @@ def test_a_board_that_is_turned_tells_its_print_from_the_optics():
         assert np.all(rms(turn_deg) < 0.85 * straight)
 
 
-def test_errors_whose_labels_captures_lack_are_named():
+def test_errors_whose_labels_captures_lack_are_named() -> None:
     seen = printed(0)
-    recorded = {"time_s": np.arange(len(seen)), "travel": 1.0, "visit": seen.capture}
+    recorded: dict[str, Any] = {"time_s": np.arange(len(seen)), "travel": 1.0, "visit": seen.capture}
     visits = np.unique(seen.capture)
     everything = replace(seen, common=CommonErrors(("lens",), visits, np.zeros((len(visits), 6, 1))), **recorded)
     assert unseen_errors(everything) == ()
@@ -84,19 +90,19 @@ def test_errors_whose_labels_captures_lack_are_named():
     assert [each.split()[0] for each in unseen_errors(seen)] == ["drift", "direction", "motions", "lens"]
 
 
-def terms_of(dot, is_pose_fitted, y_sign=1.0):
+def terms_of(dot: FloatArray, is_pose_fitted: bool, y_sign: float = 1.0) -> list[LabelTerm]:
     """Terms of a board at one pose, 2 m away and across the view; its y axis points up or down."""
     point = np.column_stack([dot * [1.0, y_sign], np.full(len(dot), -2.0)])
     by_point = np.tile(np.eye(2, 3) / 2.0, (len(dot), 1, 1))
     return board_terms(dot, point, np.zeros(len(dot), np.int64), by_point, is_pose_fitted)
 
 
-def test_a_board_that_fills_no_area_has_no_field():
+def test_a_board_that_fills_no_area_has_no_field() -> None:
     dot = np.stack([np.linspace(0.0, 1.0, 20), np.zeros(20)], axis=-1)
     assert terms_of(dot, is_pose_fitted=True) == terms_of(np.full((20, 2), np.nan), is_pose_fitted=False) == []
 
 
-def test_waves_do_what_no_pose_of_the_board_does_where_the_pose_was_fitted():
+def test_waves_do_what_no_pose_of_the_board_does_where_the_pose_was_fitted() -> None:
     dot = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 12), np.linspace(-0.4, 0.4, 9)), axis=-1).reshape(-1, 2)
     fitted, stated = (terms_of(dot, each)[0] for each in (True, False))
     affine = np.linalg.qr(np.column_stack([np.ones(len(dot)), dot]))[0]
@@ -104,14 +110,14 @@ def test_waves_do_what_no_pose_of_the_board_does_where_the_pose_was_fitted():
     assert np.linalg.norm(affine.T @ stated.columns) > 0.1 * np.linalg.norm(stated.columns)
 
 
-def test_a_board_whose_y_axis_points_down_has_the_same_printing_errors():
+def test_a_board_whose_y_axis_points_down_has_the_same_printing_errors() -> None:
     dot = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 12), np.linspace(-0.4, 0.4, 9)), axis=-1).reshape(-1, 2)
     up, down = (terms_of(dot, True, sign)[0].columns for sign in (1.0, -1.0))
     np.testing.assert_allclose(down, up, atol=1e-12)
     assert np.linalg.norm(up) > 1.0
 
 
-def test_a_board_whose_pose_was_not_fitted_to_its_dots_may_be_stretched():
+def test_a_board_whose_pose_was_not_fitted_to_its_dots_may_be_stretched() -> None:
     captures = printed(0)
     poses = np.unique(captures.target_pose)
     places = np.unique(captures.capture)
@@ -121,7 +127,7 @@ def test_a_board_whose_pose_was_not_fitted_to_its_dots_may_be_stretched():
     assert stated > 1.2 * fitted
 
 
-def lab_display(seed, raster=False, size=7):
+def lab_display(seed: int, raster: bool = False, size: int = 7) -> DisplayCaptures:
     """Captures in random order and off the raster, or along a raster; with the times of a lab."""
     rng = np.random.default_rng(seed)
     grid = grid_in_plane(size, size)
@@ -130,20 +136,20 @@ def lab_display(seed, raster=False, size=7):
     return replace(captures, time_s=30.0 * captures.visits[1], travel=np.sign(np.sin(2.3 * captures.visits[1])))
 
 
-def drifting(captures, arcmin=0.6):
+def drifting(captures, arcmin: float = 0.6):
     """A camera that turns while it warms up."""
     warm = 1.0 - np.exp(-3.0 * captures.time_s / captures.time_s.max())
     turned = captures.tangents + np.outer(warm - warm.mean(), [arcmin, -0.5 * arcmin]) * ARCMIN
     return replace(captures, view_dir=dir_of_tangents(turned))
 
 
-def screwed(captures, size_m=12e-6):
+def screwed(captures, size_m: float = 12e-6):
     """A stage whose axis x has a lead screw with an error."""
     x, y, z = captures.viewpoint.T
     return replace(captures, viewpoint=np.column_stack([x + size_m * np.sin(2.0 * np.pi * x / 5e-3), y, z]))
 
 
-def share_of(fit, source):
+def share_of(fit: ModelFit, source: str) -> ErrorShare:
     return next(each for each in fit.report.shares if each.source == source)
 
 
@@ -152,7 +158,7 @@ def share_of(fit, source):
     [(drifting, "drift", 0.2), (screwed, "stage axes", 12e-6 / np.sqrt(2.0))],
     ids=["drift", "screw"],
 )
-def test_the_size_of_an_error_is_found(wrong, source, size):
+def test_the_size_of_an_error_is_found(wrong: Callable[..., Any], source: str, size: float) -> None:
     captures = lab_display(0)
     found = share_of(fit_display(wrong(captures), "planar", 3), source)
     sound = share_of(fit_display(captures, "planar", 3), source)
@@ -161,7 +167,7 @@ def test_the_size_of_an_error_is_found(wrong, source, size):
     assert sound.arcmin < 0.5 * found.arcmin
 
 
-def test_an_error_that_varies_smoothly_along_an_axis_is_no_error_of_the_stage():
+def test_an_error_that_varies_smoothly_along_an_axis_is_no_error_of_the_stage() -> None:
     """It looks like optics that the orders of the fit leave out."""
     captures = lab_display(1, raster=True)
     x, y, z = captures.viewpoint.T
@@ -171,7 +177,7 @@ def test_an_error_that_varies_smoothly_along_an_axis_is_no_error_of_the_stage():
     assert sizes[1] < 1.5 * sizes[0]
 
 
-def test_what_a_raster_does_not_show_is_carried():
+def test_what_a_raster_does_not_show_is_carried() -> None:
     """Along a raster a drift looks like optics: with times the fit says that it is less sure."""
     ratios = []
     for raster in (True, False):
@@ -184,7 +190,7 @@ def test_what_a_raster_does_not_show_is_carried():
     assert ratios[0] > 2.0 * ratios[1]
 
 
-def test_shares_add_up_to_the_predicted_error():
+def test_shares_add_up_to_the_predicted_error() -> None:
     report = fit_see_through(printed(0), "planar", 4).report
     assert np.sqrt(sum(each.arcmin**2 for each in report.shares)) == pytest.approx(report.predicted_arcmin, rel=1e-6)
     assert report.shares == tuple(sorted(report.shares, key=lambda each: -each.arcmin))
@@ -193,7 +199,7 @@ def test_shares_add_up_to_the_predicted_error():
     assert 0.3 < board.size / 2e-5 < 3.0
 
 
-def test_exact_captures_have_no_errors_by_label():
+def test_exact_captures_have_no_errors_by_label() -> None:
     captures = lab_display(0)
     exact = replace(captures, sigma_arcmin=np.zeros(len(captures)))
     assert [each.source for each in fit_display(exact, "planar", 3).report.shares] == ["noise and stage"]

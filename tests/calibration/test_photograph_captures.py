@@ -36,7 +36,7 @@ POSE = transforms.rigid(
 )
 
 
-def test_a_target_seen_without_optics_lies_where_it_is_seen():
+def test_a_target_seen_without_optics_lies_where_it_is_seen() -> None:
     board = design_board(8, 6, 0.03)
     target = POSE @ transforms.rigid(transforms.rotation_about("x", 0.3), np.array([0.02, -0.01, 0.5]))
     index = board.indices()
@@ -64,7 +64,7 @@ def test_a_target_seen_without_optics_lies_where_it_is_seen():
     ids=["perspective", "brown", "fisheye"],
 )
 @pytest.mark.parametrize("angle_deg", [0.0, 25.0, 40.0])
-def test_sigma_of_a_direction_is_that_of_its_pixel_at_every_angle(camera, angle_deg):
+def test_sigma_of_a_direction_is_that_of_its_pixel_at_every_angle(camera: LensCamera, angle_deg: float) -> None:
     ahead = transforms.rigid(transforms.OPENXR_FROM_OPENCV, np.zeros(3))
     axis = np.deg2rad(angle_deg)
     at = camera.pixel_of_point(np.array([np.sin(axis) * 0.8, np.sin(axis) * 0.6, np.cos(axis)]))
@@ -80,7 +80,7 @@ def test_sigma_of_a_direction_is_that_of_its_pixel_at_every_angle(camera, angle_
     assert stated == pytest.approx(true, rel=0.02)
 
 
-def test_what_is_recorded_of_photographs_is_kept_and_the_camera_looks_along_its_minus_z():
+def test_what_is_recorded_of_photographs_is_kept_and_the_camera_looks_along_its_minus_z() -> None:
     samples = DecodedSamples(np.full((3, 2), 200.5), np.full((3, 2), 5.0), np.full(3, 0.1), np.full(3, 2.0))
     taken = CodeSet(Path("set"), stage=np.array([0.01, 0.02]), channel="blue", time_s=40.0)
     first = panel_captures(SESSION, CAMERA, POSE, samples, capture=0, **recorded_of(taken))
@@ -94,7 +94,7 @@ def test_what_is_recorded_of_photographs_is_kept_and_the_camera_looks_along_its_
     np.testing.assert_allclose(np.linalg.det(captures.device_from_camera), 1.0)
 
 
-def test_decoded_noise_becomes_an_angle_by_the_scale_of_the_picture():
+def test_decoded_noise_becomes_an_angle_by_the_scale_of_the_picture() -> None:
     pixel = np.array([[330.5, 240.0], [320.0, 240.0]])
     samples = DecodedSamples(pixel, np.array([[5.0, 6.0], [7.0, 8.0]]), np.array([0.1, 0.2]), np.array([2.0, 2.0]))
     captures = panel_captures(SESSION, CAMERA, POSE, samples, capture=0)
@@ -105,12 +105,12 @@ def test_decoded_noise_becomes_an_angle_by_the_scale_of_the_picture():
     assert captures.pixel.tolist() == [[5, 6], [7, 8]]
 
 
-def test_no_views_are_refused():
+def test_no_views_are_refused() -> None:
     with pytest.raises(BadInputError, match="no photographs of the panel are left"):
         joined_views([], "the panel")
 
 
-def test_dots_beyond_the_panel_s_field_are_left_out():
+def test_dots_beyond_the_panel_s_field_are_left_out() -> None:
     board = design_board(20, 16, 0.03)
     target = POSE @ transforms.rigid(np.eye(3), np.array([0.0, 0.0, 0.6]))
     index = board.indices()

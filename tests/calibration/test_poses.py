@@ -4,24 +4,25 @@ import pytest
 from wlr_render.calibration.poses import Pose, motion_between, small_motion
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
+from wlr_render.numerics.arrays import FloatArray
 
 DRAWS = 20_000
 
 
-def some_covariance(rng, size=1e-3):
+def some_covariance(rng: np.random.Generator, size: float = 1e-3) -> FloatArray:
     root = rng.normal(size=(6, 6)) * size
     return root @ root.T
 
 
-def some_pose(rng):
+def some_pose(rng: np.random.Generator) -> FloatArray:
     return transforms.rigid(transforms.rotations_of_vectors(rng.normal(size=3)), rng.normal(size=3))
 
 
-def drawn(pose, rng, count=DRAWS):
+def drawn(pose: Pose, rng: np.random.Generator, count=DRAWS) -> FloatArray:
     return small_motion(rng.multivariate_normal(np.zeros(6), pose.covariance, count)) @ pose.b_from_a
 
 
-def assert_same_covariance(claimed, draws_of_motion):
+def assert_same_covariance(claimed: FloatArray, draws_of_motion: FloatArray) -> None:
     """Within the scatter that a sample covariance of this many draws has."""
     actual = np.cov(draws_of_motion.T)
     scale = np.sqrt(np.outer(np.diag(claimed), np.diag(claimed)))
@@ -29,13 +30,13 @@ def assert_same_covariance(claimed, draws_of_motion):
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2)])
-def test_a_motion_is_what_carries_one_pose_to_the_other(shape):
+def test_a_motion_is_what_carries_one_pose_to_the_other(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(1)
     before, motion = some_pose(rng), rng.uniform(-1, 1, size=(*shape, 6))
     np.testing.assert_allclose(motion_between(before, small_motion(motion) @ before), motion, atol=1e-12)
 
 
-def test_a_chain_of_poses_adds_up_its_covariances():
+def test_a_chain_of_poses_adds_up_its_covariances() -> None:
     rng = np.random.default_rng(3)
     first, second = (Pose(some_pose(rng), some_covariance(rng)) for _ in range(2))
     chain = first @ second
@@ -43,7 +44,7 @@ def test_a_chain_of_poses_adds_up_its_covariances():
     assert_same_covariance(chain.covariance, motion_between(chain.b_from_a, draws))
 
 
-def test_sigmas_are_those_of_turning_and_of_where_the_origin_lies():
+def test_sigmas_are_those_of_turning_and_of_where_the_origin_lies() -> None:
     rng = np.random.default_rng(4)
     pose = Pose(some_pose(rng), some_covariance(rng))
     draws = drawn(pose, rng)

@@ -1,16 +1,20 @@
 """Forward and backward queries of fitted models of the shipped devices are each other's inverse."""
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
 from fitted_eyes import captures
+from present import present
 
 from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.rays import distance_to_point, split
 from wlr_render.mappings import Status
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
 DEVICES = "northstar", "freeform40", "birdbath28"
@@ -22,18 +26,20 @@ kinds = pytest.mark.parametrize("kind", DEGREES)
 
 
 @lru_cache
-def fitted(device, kind):
+def fitted(device: str, kind: str) -> tuple[ModelFit, ModelFit]:
     made, (display, see_through) = captures(device, kind), DEGREES[kind]
-    return fit_display(made.display, kind, display), fit_see_through(made.see_through, kind, see_through)
+    return fit_display(present(made.display), kind, display), fit_see_through(
+        present(made.see_through), kind, see_through
+    )
 
 
-def viewpoints(mapping):
+def viewpoints(mapping) -> FloatArray:
     return random_in_eye_box(mapping.eye_box, 30, np.random.default_rng(5))[:, None]
 
 
 @devices
 @kinds
-def test_pixel_to_direction_to_pixel(device, kind):
+def test_pixel_to_direction_to_pixel(device: str, kind: str) -> None:
     display = fitted(device, kind)[0].mapping
     pixel, viewpoint = display.panel.grid(24, 20).reshape(-1, 2), viewpoints(display)
     seen = display.view_dir_of_pixel(pixel, viewpoint)
@@ -50,7 +56,7 @@ def test_pixel_to_direction_to_pixel(device, kind):
 
 @devices
 @kinds
-def test_direction_to_pixel_to_direction_inside_and_beyond_the_panel(device, kind):
+def test_direction_to_pixel_to_direction_inside_and_beyond_the_panel(device: str, kind: str) -> None:
     display = fitted(device, kind)[0].mapping
     viewpoint, corners = viewpoints(display), display.panel.size_px * [[0, 0], [0, 1], [1, 0], [1, 1]]
     at_corners = tangents_of_dir(display.view_dir_of_pixel(corners, display.eye_box.centre).value)
@@ -68,7 +74,7 @@ def test_direction_to_pixel_to_direction_inside_and_beyond_the_panel(device, kin
 
 @devices
 @kinds
-def test_real_point_to_direction_to_ray(device, kind):
+def test_real_point_to_direction_to_ray(device: str, kind: str) -> None:
     see_through = fitted(device, kind)[1].mapping
     viewpoint, rng = viewpoints(see_through), np.random.default_rng(7)
     tangents = rng.uniform(*see_through_field(see_through), (100, 2))
@@ -84,14 +90,14 @@ def test_real_point_to_direction_to_ray(device, kind):
 
 
 @devices
-def test_contractions_of_the_shipped_devices_leave_no_doubt(device):
+def test_contractions_of_the_shipped_devices_leave_no_doubt(device: str) -> None:
     display, see_through = fitted(device, "planar")
     print(f"{device}: contraction {display.contraction:.3f} (display), {see_through.contraction:.3f} (see-through)")
     assert 0.001 < display.contraction < 0.1
     assert 0.001 < see_through.contraction < 0.1
 
 
-def see_through_field(see_through):
+def see_through_field(see_through) -> tuple[Any, Any]:
     """Tangents that are inside the fit, nearly."""
     polynomial = see_through.deviation
     return 0.9 * polynomial.box.low[-2:], 0.9 * polynomial.box.high[-2:]

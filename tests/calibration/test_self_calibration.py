@@ -1,10 +1,13 @@
 """Self-calibration by clicks: exact recovery, more clicks, honest covariance, wrong clicks, slips, bad input."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from fitted_eyes import fitted_eye
+from numpy.typing import NDArray
 
 from wlr_render.calibration.self_calibration import (
     GROWTH,
@@ -21,8 +24,9 @@ from wlr_render.calibration.self_calibration import (
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, normalised
-from wlr_render.mappings import is_planar, require_planar
+from wlr_render.mappings import Eye, is_planar, require_planar
 from wlr_render.models.moved_panel import MovedPanelDisplay
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 
@@ -31,22 +35,29 @@ DEPTHS_M = np.array([0.4, 2.0, 0.7, 4.0, 1.0])
 
 
 @pytest.fixture(scope="module")
-def eye():
+def eye() -> Eye:
     return fitted_eye(DEVICE, 3)
 
 
-def moved_by(offset=(0, 0, 0), shift=(0, 0), growth=0.0, turn_arcmin=(0, 0, 0)):
+def moved_by(
+    offset: tuple[float, float, float] = (0, 0, 0),
+    shift: tuple[float, float] = (0, 0),
+    growth: float = 0.0,
+    turn_arcmin: tuple[float, float, float] = (0, 0, 0),
+) -> FloatArray:
     return np.concatenate([offset, shift, [growth], np.array(turn_arcmin) * ARCMIN, [0.0, 0.0]])
 
 
-def dots(eye, count, rng):
+def dots(eye: Eye, count: int, rng: np.random.Generator) -> tuple[Any, Any]:
     """Viewpoints as tracked, and points in the middle of the field of view at several depths."""
     tracked = eye.eye_box.at(rng.uniform(-0.4, 0.4, (count, 3)))
     direction = dir_of_tangents(rng.uniform([-0.25, -0.13], [0.25, 0.13], (count, 2)))
     return tracked, tracked + direction * (DEPTHS_M[np.arange(count) % 5] / -direction[:, 2])[:, None]
 
 
-def seen_pixel(eye, truth, tracked, point, error_arcmin=0.0):
+def seen_pixel(
+    eye: Eye, truth: FloatArray, tracked: FloatArray, point: FloatArray, error_arcmin: float = 0.0
+) -> FloatArray:
     """The pixel that is on a point, straight from the two mappings; written down apart from the package."""
     pupil = tracked + truth[OFFSET]
     device = point @ transforms.rotations_of_vectors(truth[TURN]).T
@@ -59,13 +70,15 @@ def seen_pixel(eye, truth, tracked, point, error_arcmin=0.0):
     return middle + (at_calibration - middle - truth[SHIFT]) / (1.0 + truth[GROWTH])
 
 
-def clicked(eye, truth, count, rng, noise_arcmin=0.0):
+def clicked(eye: Eye, truth: FloatArray, count: int, rng: np.random.Generator, noise_arcmin: float = 0.0) -> Clicks:
     tracked, point = dots(eye, count, rng)
     error = noise_arcmin * rng.normal(size=(count, 2))
     return Clicks(seen_pixel(eye, truth, tracked, point, error), point, tracked)
 
 
-def misalignment(eye, truth, state, rng, count=60):
+def misalignment(
+    eye: Eye, truth: FloatArray, state: WearState, rng: np.random.Generator, count: int = 60
+) -> FloatArray:
     """Angles in arcmin at dots that were not clicked, drawn with the state and seen with the truth."""
     tracked, point = dots(eye, count, rng)
     pupil, middle = tracked + truth[OFFSET], 0.5 * eye.display.panel.size_px
@@ -78,7 +91,7 @@ def misalignment(eye, truth, state, rng, count=60):
     )
 
 
-def rms(values):
+def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -86,7 +99,7 @@ TRUTH = moved_by((1.2e-3, -0.8e-3, 0.9e-3), (1.6, -1.1), 6e-4, (0.0, 0.0, 1.5))
 ONE_CAUSE_EACH = WearSettings(turn_arcmin=0.0, pointing_arcmin=0.0, tracking_m=0.0)
 
 
-def test_without_noise_the_parameters_are_found_exactly(eye):
+def test_without_noise_the_parameters_are_found_exactly(eye: Eye) -> None:
     exact = replace(eye, display=eye.display.with_spread(None), see_through=eye.see_through.with_spread(None))
     truth = TRUTH.copy()
     truth[TURN] = 0.0
@@ -98,7 +111,7 @@ def test_without_noise_the_parameters_are_found_exactly(eye):
     assert state.outliers == ()
 
 
-def test_a_turn_of_the_head_tracker_is_corrected_although_it_resembles_a_shift(eye):
+def test_a_turn_of_the_head_tracker_is_corrected_although_it_resembles_a_shift(eye: Eye) -> None:
     truth = TRUTH + moved_by(turn_arcmin=(2.0, -1.0, 0.0))
     rng = np.random.default_rng(2)
     settings = WearSettings(turn_arcmin=2.0, pointing_arcmin=0.0, tracking_m=0.0)
@@ -109,7 +122,7 @@ def test_a_turn_of_the_head_tracker_is_corrected_although_it_resembles_a_shift(e
     assert rms(misalignment(eye, truth, state, rng)) < 0.1
 
 
-def test_with_the_panel_kept_a_shift_is_corrected_by_the_pose_alone(eye):
+def test_with_the_panel_kept_a_shift_is_corrected_by_the_pose_alone(eye: Eye) -> None:
     truth, rng = moved_by((1e-3, 0.5e-3, 0.0), (1.5, -1.5)), np.random.default_rng(4)
     begun = WearState.begin(eye, PANEL_KEPT)
     state = begun.updated(clicked(eye, truth, 40, rng), click_arcmin=0.05)
@@ -119,10 +132,10 @@ def test_with_the_panel_kept_a_shift_is_corrected_by_the_pose_alone(eye):
     assert after < 0.3
 
 
-def test_drawing_with_the_corrected_mappings_pose_and_viewpoint_gives_the_corrected_pixel(eye):
+def test_drawing_with_the_corrected_mappings_pose_and_viewpoint_gives_the_corrected_pixel(eye: Eye) -> None:
     state = replace(WearState.begin(eye), mean=TRUTH)
     tracked, point = dots(eye, 10, np.random.default_rng(3))
-    world_from_device = transforms.rigid(transforms.rotation_about("y", 0.3), [0.1, 1.5, 2.0])
+    world_from_device = transforms.rigid(transforms.rotation_about("y", 0.3), np.array([0.1, 1.5, 2.0]))
     in_world = transforms.apply(world_from_device, point)
     corrected, viewpoint = state.corrected(eye), state.viewpoint(tracked)
     in_device = transforms.apply(transforms.inverse(state.pose(world_from_device)), in_world)
@@ -133,7 +146,7 @@ def test_drawing_with_the_corrected_mappings_pose_and_viewpoint_gives_the_correc
     np.testing.assert_allclose(corrected.display.view_dir_of_pixel(pixel, viewpoint).value, seen, atol=1e-9)
 
 
-def test_a_moved_planar_display_stays_one_for_the_shader_and_another_does_not_become_one(eye):
+def test_a_moved_planar_display_stays_one_for_the_shader_and_another_does_not_become_one(eye: Eye) -> None:
     moved = MovedPanelDisplay(eye.display, np.array([1.5, -0.5]), 1e-3)
     display, _ = require_planar(replace(eye, display=moved))
     pixel = moved.panel.grid(5, 4).reshape(-1, 2)
@@ -146,7 +159,7 @@ def test_a_moved_planar_display_stays_one_for_the_shader_and_another_does_not_be
 
 
 @pytest.fixture(scope="module")
-def drawn_updates(eye):
+def drawn_updates(eye: Eye) -> NDArray[Any]:
     """Truths from the prior, seen through imperfections that the state does not model: rms and predictions."""
     rng = np.random.default_rng(5)
     settings = WearSettings()
@@ -179,7 +192,7 @@ def drawn_updates(eye):
     return np.array(outcomes)
 
 
-def test_more_clicks_bring_less_misalignment_and_less_variance(drawn_updates):
+def test_more_clicks_bring_less_misalignment_and_less_variance(drawn_updates: NDArray[Any]) -> None:
     true, _, variance = np.moveaxis(drawn_updates, -1, 0)
     pooled = np.sqrt(np.mean(true**2, axis=0))
     assert np.all(np.diff(pooled) < 0)
@@ -187,13 +200,13 @@ def test_more_clicks_bring_less_misalignment_and_less_variance(drawn_updates):
     assert np.all(np.diff(variance, axis=1) < 1e-9)
 
 
-def test_predicted_misalignment_is_the_true_one_in_spite_of_imperfections(drawn_updates):
+def test_predicted_misalignment_is_the_true_one_in_spite_of_imperfections(drawn_updates: NDArray[Any]) -> None:
     true, predicted = np.sqrt(np.mean(drawn_updates[..., :2] ** 2, axis=0)).T
     np.testing.assert_array_less(0.8, predicted / true)
     np.testing.assert_array_less(predicted / true, 1.25)
 
 
-def test_a_wrong_click_is_named_and_weighs_less(eye):
+def test_a_wrong_click_is_named_and_weighs_less(eye: Eye) -> None:
     rng = np.random.default_rng(7)
     clicks = clicked(eye, TRUTH, 5, rng, noise_arcmin=1.0)
     pixel = clicks.pixel.copy()
@@ -209,13 +222,13 @@ def test_a_wrong_click_is_named_and_weighs_less(eye):
     assert after_wrong < 1.5 * after_right + 0.5
 
 
-def test_two_wrong_clicks_of_seven_are_named(eye):
+def test_two_wrong_clicks_of_seven_are_named(eye: Eye) -> None:
     clicks = clicked(eye, TRUTH, 7, np.random.default_rng(9), noise_arcmin=1.0)
     clicks.pixel[[1, 5]] += [[30.0, 10.0], [28.0, 12.0]]
     assert WearState.begin(eye).updated(clicks, click_arcmin=1.0).outliers == (1, 5)
 
 
-def test_a_slip_that_was_not_announced_is_found_and_no_other(eye):
+def test_a_slip_that_was_not_announced_is_found_and_no_other(eye: Eye) -> None:
     rng = np.random.default_rng(10)
     state = WearState.begin(eye).updated(clicked(eye, TRUTH, 10, rng, noise_arcmin=1.0))
     found = []
@@ -227,14 +240,14 @@ def test_a_slip_that_was_not_announced_is_found_and_no_other(eye):
     assert found == [False, True]
 
 
-def test_an_announced_slip_and_time_widen_what_clicks_may_change(eye):
+def test_an_announced_slip_and_time_widen_what_clicks_may_change(eye: Eye) -> None:
     begun = WearState.begin(eye)
     variance = np.diag(begun.carried(1800.0).slipped().covariance - begun.covariance)
     np.testing.assert_allclose(variance, 0.5 * begun.settings.per_hour + begun.settings.by_slip, atol=1e-15)
     np.testing.assert_array_equal(begun.carried(900.0).mean, begun.mean)
 
 
-def test_clicks_at_one_dot_do_not_average_the_models_errors_away(eye):
+def test_clicks_at_one_dot_do_not_average_the_models_errors_away(eye: Eye) -> None:
     """Two hundred exact clicks at one dot: what remains is the error that the models have there in common."""
     still = WearSettings(0.0, 50.0, 0.0, 0.0, 0.0, tracking_m=0.0, slip_m=0.0)
     tracked, point = dots(eye, 1, np.random.default_rng(11))
@@ -255,7 +268,7 @@ def test_clicks_at_one_dot_do_not_average_the_models_errors_away(eye):
     assert shift_arcmin == pytest.approx(models, rel=0.1)
 
 
-def one_click(eye, **changes):
+def one_click(eye, **changes: Any) -> dict[Any, Any]:
     tracked, point = dots(eye, 1, np.random.default_rng(12))
     given = {"pixel": seen_pixel(eye, np.zeros(PARAMETERS), tracked, point), "point": point, "viewpoint": tracked}
     return given | {name: change(given[name]) for name, change in changes.items()}
@@ -277,12 +290,12 @@ def one_click(eye, **changes):
         ({"point": lambda p: p + [3.0, 0.0, 0.0]}, "click 0: the point .* degrees from the pixel"),
     ],
 )
-def test_bad_clicks_are_refused_in_a_sentence(eye, changes, sentence):
+def test_bad_clicks_are_refused_in_a_sentence(eye, changes: Mapping[str, Callable[..., Any]], sentence: str) -> None:
     with pytest.raises(BadInputError, match=sentence):
         WearState.begin(eye).updated(Clicks(**one_click(eye, **changes)))
 
 
-def test_clicks_most_of_which_contradict_each_other_are_refused(eye):
+def test_clicks_most_of_which_contradict_each_other_are_refused(eye: Eye) -> None:
     clicks = clicked(eye, TRUTH, 4, np.random.default_rng(13))
     clicks.pixel[1:] += [[60.0, 0.0], [0.0, -70.0], [-50.0, 50.0]]
     with pytest.raises(BadInputError, match=r"3 of 4 clicks contradict the others.* Click again"):
@@ -304,6 +317,6 @@ def test_clicks_most_of_which_contradict_each_other_are_refused(eye):
         (lambda eye: WearState.begin(eye).updated(Clicks(**one_click(eye)), click_arcmin=-2), "click_arcmin is -2"),
     ],
 )
-def test_bad_settings_are_refused_in_a_sentence(eye, make, sentence):
+def test_bad_settings_are_refused_in_a_sentence(eye, make: Callable[..., Any], sentence: str) -> None:
     with pytest.raises(BadInputError, match=sentence):
         make(eye)

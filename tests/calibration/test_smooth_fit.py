@@ -9,9 +9,10 @@ from calibration.toy_device import PANEL, display_captures, errors_arcmin, grid_
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.smooth_prior import smoothness_prior
 from wlr_render.calibration.smooth_search import fit
-from wlr_render.captures.correspondences import select
+from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, tangents_of_dir
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.shared_noise import SharedNoise
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -25,25 +26,25 @@ PIXELS = PANEL.grid(8, 6).reshape(-1, 2)
 DRAWS = 8
 
 
-def clean(seed, sigma=SIGMA_ARCMIN):
+def clean(seed: int, sigma: float = SIGMA_ARCMIN) -> DisplayCaptures:
     return display_captures(grid_in_plane(5, 5), PIXELS, sigma_arcmin=sigma, seed=seed)
 
 
-def shifted(captures, shift):
+def shifted(captures: DisplayCaptures, shift: FloatArray) -> DisplayCaptures:
     """Cameras that stand elsewhere than stated, by `shift` (captures, 3) metres."""
     return replace(captures, viewpoint=captures.viewpoint + shift[captures.capture])
 
 
-def kicked(captures, off):
+def kicked(captures: DisplayCaptures, off: FloatArray) -> DisplayCaptures:
     return replace(captures, view_dir=dir_of_tangents(tangents_of_dir(captures.view_dir) + off * ARCMIN))
 
 
-def gross(captures, rng):
+def gross(captures, rng) -> DisplayCaptures:
     wrong = rng.random(len(captures)) < 0.05
     return kicked(captures, wrong[:, None] * rng.normal(0.0, 60.0, (len(captures), 2)))
 
 
-def rim(captures, rng):
+def rim(captures, rng) -> DisplayCaptures:
     """Noise that doubles from the middle of the panel to its corners."""
     radius = np.linalg.norm(2 * captures.pixel / PANEL.size_px - 1, axis=1) / np.sqrt(2)
     return kicked(captures, np.sqrt((1 + radius) ** 2 - 1)[:, None] * rng.normal(size=(len(captures), 2)))
@@ -73,7 +74,7 @@ IMPERFECTIONS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", IMPERFECTIONS)
-def test_the_predicted_error_is_the_true_one(name):
+def test_the_predicted_error_is_the_true_one(name: str) -> None:
     squares = []
     for seed in range(DRAWS):
         rng = np.random.default_rng(100 + seed)
@@ -94,7 +95,7 @@ def test_the_predicted_error_is_the_true_one(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("shift", "turn"), [(0.0, 0.0), (3e-5, 0.0), (1e-5, 2e-4)])
-def test_noise_and_stage_are_found(shift, turn):
+def test_noise_and_stage_are_found(shift: float, turn: float) -> None:
     found = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -111,7 +112,7 @@ def test_noise_and_stage_are_found(shift, turn):
 
 
 @pytest.mark.parametrize(("count", "size_m"), [(1, 3e-4), (2, 1e-3), (5, 2e-3)])
-def test_captures_from_elsewhere_are_left_out_and_named_with_their_shift(count, size_m):
+def test_captures_from_elsewhere_are_left_out_and_named_with_their_shift(count: int, size_m: float) -> None:
     for seed in range(2):
         rng = np.random.default_rng(seed)
         shift = rng.normal(0, 3e-6, (CAPTURES, 3))
@@ -128,18 +129,19 @@ def test_captures_from_elsewhere_are_left_out_and_named_with_their_shift(count, 
 
 
 @pytest.mark.parametrize("sigma", [0.005, 0.0005])
-def test_a_sharp_camera_is_believed(sigma):
+def test_a_sharp_camera_is_believed(sigma: float) -> None:
     smooth = fit_display(clean(1, sigma), "planar", 4).smooth
     assert smooth.noise == pytest.approx(1.0, rel=0.05)
 
 
-def test_noise_that_neighbours_share_does_not_depend_on_where_its_search_starts():
+def test_noise_that_neighbours_share_does_not_depend_on_where_its_search_starts() -> None:
     captures, rng = display_captures(grid_in_plane(5, 5), PANEL.grid(12, 10).reshape(-1, 2)), np.random.default_rng(0)
     place = captures.pixel[captures.capture == 0]
     root = np.linalg.cholesky(0.4 * SharedNoise(1.0, 250.0).correlation(place) + 0.6 * np.eye(len(place)))
     noise = (root @ rng.normal(size=(CAPTURES, len(place), 2))).reshape(-1, 2)
     smooth = fit_display(kicked(replace(captures, sigma_arcmin=1.0), noise), "planar", 4).smooth
     readings = smooth.readings
+    assert readings.shared is not None
     assert 0.2 < readings.shared.share < 0.6
     for off in (-0.2, -0.04, 0.04, 0.2):
         start = replace(readings.shared, share=readings.shared.share + off)
@@ -147,7 +149,7 @@ def test_noise_that_neighbours_share_does_not_depend_on_where_its_search_starts(
         assert fit(readings, before).readings.shared == readings.shared
 
 
-def test_gross_readings_lose_their_weight():
+def test_gross_readings_lose_their_weight() -> None:
     captures = clean(1)
     off = np.zeros((len(captures), 2))
     off[[5, 300]] = 100.0
@@ -155,14 +157,14 @@ def test_gross_readings_lose_their_weight():
     np.testing.assert_array_equal(np.flatnonzero(kept == 0.0), [5, 300])
 
 
-def test_readings_that_contradict_each_other_are_refused():
+def test_readings_that_contradict_each_other_are_refused() -> None:
     captures = clean(1)
     mixed = replace(captures, pixel=np.random.default_rng(0).permutation(captures.pixel))
     with pytest.raises(BadInputError, match=r"contradict each other: no smooth optics brings them within .*' of one"):
         fit_display(mixed)
 
 
-def test_optics_beyond_the_orders_are_not_taken_for_a_bad_stage():
+def test_optics_beyond_the_orders_are_not_taken_for_a_bad_stage() -> None:
     """A motion that varies smoothly with the place does what terms beyond the orders would do."""
     truth = traced_eye(load_device("freeform40"), "right")
     setup = CaptureSetup(truth, 0.1, grid=(12, 10))
@@ -171,7 +173,7 @@ def test_optics_beyond_the_orders_are_not_taken_for_a_bad_stage():
     assert fit_display(captures, "planar", 7).smooth.shift_m < 5e-5
 
 
-def test_readings_that_were_left_out_promise_nothing():
+def test_readings_that_were_left_out_promise_nothing() -> None:
     """Further positions add to the readings in use: with none of them the covariance stays what it is."""
     readings = fit_display(clean(0)).smooth.readings
     half = fit(readings, weights=np.arange(len(readings)) % 2.0)
@@ -182,7 +184,7 @@ def test_readings_that_were_left_out_promise_nothing():
     assert variances[1] == pytest.approx(variances[0], rel=0.02)
 
 
-def test_motions_of_the_camera_are_no_coefficients():
+def test_motions_of_the_camera_are_no_coefficients() -> None:
     """The readings also determine how a bad stage moved, which says nothing more of the model."""
     moves = np.random.default_rng(1).normal(0.0, 1e-4, (CAPTURES, 3))
     fitted = fit_display(shifted(clean(1, 0.25), moves), "planar", 2)
@@ -191,7 +193,7 @@ def test_motions_of_the_camera_are_no_coefficients():
     assert 0.5 * report.coefficients < report.determined <= report.coefficients
 
 
-def test_what_is_left_out_is_predicted_as_by_a_fit_to_the_rest():
+def test_what_is_left_out_is_predicted_as_by_a_fit_to_the_rest() -> None:
     # So little motion that both fits find the same sizes of the stage's errors.
     captures = shifted(clean(3), np.random.default_rng(3).normal(0, 8e-6, (CAPTURES, 3)))
     out = captures.capture // 5 == 2  # the middle row, so that nothing is extrapolated
@@ -203,7 +205,7 @@ def test_what_is_left_out_is_predicted_as_by_a_fit_to_the_rest():
     assert expected == pytest.approx(rms, rel=0.3)
 
 
-def test_mixed_terms_are_expected_as_a_power_of_the_footprint_has_them():
+def test_mixed_terms_are_expected_as_a_power_of_the_footprint_has_them() -> None:
     """(a u + b x)^4 (c v + d y)^2: its coefficients are products of binomial ones and powers of a, b, c and d."""
     readings = fit_display(display_captures(grid_in_plane(5, 5)), "planar", 6).smooth.readings
     prior = smoothness_prior(readings, moving=False)

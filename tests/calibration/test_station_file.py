@@ -1,6 +1,8 @@
 """Station files whose JSON is sound and whose content is not."""
 
 import json
+from pathlib import Path
+from typing import Any
 
 import pytest
 from corpus.base_texts import STATION
@@ -23,7 +25,9 @@ from wlr_render.errors import BadInputError
         ({}, {"residual": {"amplitude_px": [[0.0, 0.0]]}}, "'counts'"),
     ],
 )
-def test_a_station_that_nobody_has_is_refused(tmp_path, changes, camera, sentence):
+def test_a_station_that_nobody_has_is_refused(
+    tmp_path: Path, changes: dict[str, dict[str, str]], camera: dict[str, Any], sentence: str
+) -> None:
     path = tmp_path / "station-right.json"
     path.write_text(json.dumps(STATION), encoding="utf-8")
     assert load_station(path).eyeball_camera.size_px == (640, 480)

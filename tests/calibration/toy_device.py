@@ -4,12 +4,17 @@ Display: t = M (pixel - middle) + g(p~), so the pixel is polynomial in (p~, t) t
 (p~, t).
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, Panel
+from wlr_render.models.display_model import DisplayModel
+from wlr_render.numerics.arrays import FloatArray
 
 PLANE = BasePlane(0.02)
 EYE_BOX = EyeBox(np.array([0.03, 0.0, 0.02]), np.array([0.010, 0.008, 0.006]))
@@ -17,16 +22,16 @@ PANEL = Panel(1000, 800)
 _M = np.array([[6e-4, 1e-4], [-5e-5, -7e-4]])
 
 
-def _swim(in_plane):
+def _swim(in_plane: FloatArray) -> FloatArray:
     x, y = ((in_plane - EYE_BOX.centre[:2]) / 0.005).T
     return np.stack([0.03 * x - 0.004 * x * y, 0.02 * y + 0.005 * x**2], axis=-1)
 
 
-def tangents_of(pixel, in_plane):
-    return (pixel - 0.5 * PANEL.size_px) @ _M.T + _swim(in_plane)
+def tangents_of(pixel: FloatArray, in_plane: FloatArray) -> FloatArray:
+    return np.asarray((pixel - 0.5 * PANEL.size_px) @ _M.T + _swim(in_plane))
 
 
-def bend_of(in_plane, tangents):
+def bend_of(in_plane: FloatArray, tangents: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Deviation of tangents A (n, 2) and lateral offset B (n, 2) metres."""
     x, y = ((in_plane - EYE_BOX.centre[:2]) / 0.005).T
     tx, ty = tangents.T
@@ -35,23 +40,23 @@ def bend_of(in_plane, tangents):
     return a, b
 
 
-def positions_in_plane(count, seed=1):
+def positions_in_plane(count: int, seed: int = 1) -> FloatArray:
     """Scattered over twice the eye box, so that no small count lies on a curve: (count, 2)."""
     unit = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 2))
     return EYE_BOX.centre[:2] + unit * EYE_BOX.size[:2]
 
 
-def places_among(positions, count, seed):
+def places_among(positions: FloatArray, count: int, seed: int) -> FloatArray:
     """Scattered over the box of `positions` (n, 2), where a fit to them holds: (count, 2)."""
     return np.random.default_rng(seed).uniform(positions.min(axis=0), positions.max(axis=0), (count, 2))
 
 
-def grid_in_plane(columns, rows):
+def grid_in_plane(columns: int, rows: int) -> FloatArray:
     x, y = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
     return EYE_BOX.centre[:2] + np.stack([x.ravel(), y.ravel()], axis=-1) * EYE_BOX.size[:2]
 
 
-def scattered(tangents, sigma_arcmin, seed):
+def scattered(tangents: FloatArray, sigma_arcmin: float, seed: int) -> FloatArray:
     """Unit directions whose two transverse angles carry noise of sigma (a number or (n,))."""
     direction = dir_of_tangents(tangents)
     noise = np.random.default_rng(seed).normal(size=direction.shape) * np.multiply.outer(
@@ -59,10 +64,16 @@ def scattered(tangents, sigma_arcmin, seed):
     )
     noise -= np.sum(noise * direction, axis=1, keepdims=True) * direction
     moved = direction + noise
-    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
+    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
 
-def display_captures(in_plane, pixels=None, height=0.0, sigma_arcmin=0.0, seed=0):
+def display_captures(
+    in_plane: FloatArray,
+    pixels: FloatArray | None = None,
+    height: float = 0.0,
+    sigma_arcmin: float = 0.0,
+    seed: int = 0,
+) -> DisplayCaptures:
     """Each pixel seen from `height` metres off the plane, where its ray through each base-plane point comes by."""
     pixels = PANEL.grid(9, 7).reshape(-1, 2) if pixels is None else pixels
     capture = np.repeat(np.arange(len(in_plane)), len(pixels))
@@ -83,7 +94,7 @@ def display_captures(in_plane, pixels=None, height=0.0, sigma_arcmin=0.0, seed=0
     )
 
 
-def errors_arcmin(mapping, rng):
+def errors_arcmin(mapping: DisplayModel, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """True and predicted error (200,) at random pixels and viewpoints of the eye box."""
     place = rng.uniform(*EYE_BOX.at(np.array([[-1.0, -1, 0], [1, 1, 0]]))[:, :2], (200, 2))
     pixel = rng.uniform([100, 80], [900, 720], (200, 2))
@@ -92,7 +103,14 @@ def errors_arcmin(mapping, rng):
     return arcmin_between(seen, dir_of_tangents(tangents_of(pixel, place))), mapping.sigma(pixel, viewpoint)
 
 
-def see_through_captures(in_plane, depths=(0.4, 3.0), tilt=0.0, bend=bend_of, sigma_arcmin=0.0, seed=0):
+def see_through_captures(
+    in_plane: FloatArray,
+    depths: tuple[float, float] = (0.4, 3.0),
+    tilt: float = 0.0,
+    bend: Callable[..., Any] = bend_of,
+    sigma_arcmin: float = 0.0,
+    seed: int = 0,
+) -> SeeThroughCaptures:
     """Directions on a 9 x 7 grid at each base-plane point, for target depths that grow by `tilt` along tx."""
     grid = np.stack(np.meshgrid(np.linspace(-0.4, 0.4, 9), np.linspace(-0.3, 0.3, 7)), axis=-1).reshape(-1, 2)
     capture = np.repeat(np.arange(len(in_plane)), len(grid))

@@ -1,10 +1,14 @@
 import dataclasses
 import json
 import resource
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from present import present
 
 from wlr_render.captures.capture_checks import place_warnings
 from wlr_render.captures.capture_file import load_captures, load_observations
@@ -13,6 +17,7 @@ from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 RNG = np.random.default_rng(1)
 EYE_BOX = EyeBox(np.array([0.03, 0.0, 0.02]), np.array([0.010, 0.008, 0.006]))
@@ -52,13 +57,13 @@ MOTION = CaptureMotionPrior(np.arange(9), RNG.uniform(0, 1e-5, (9, 6)), 0.2)
 WITH_MOTION = Captures(dataclasses.replace(DISPLAY, motion=MOTION), dataclasses.replace(SEE_THROUGH, motion=MOTION))
 
 
-def documented_header():
+def documented_header() -> dict[str, Any]:
     """The header that docs/files.md has to copy."""
     text = (Path(__file__).parents[2] / "docs" / "files.md").read_text()
     return json.loads(text.partition("```json\n")[2].partition("```")[0])
 
 
-def test_the_documented_header_is_read(tmp_path):
+def test_the_documented_header_is_read(tmp_path: Path) -> None:
     header = documented_header()
     centre = np.array(header["eye_box"]["centre_m"])
     arrays = {
@@ -78,7 +83,7 @@ def test_the_documented_header_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(("scale", "named"), [(1.0, 0), (0.1, 2), (0.0, 2)])
-def test_places_that_span_little_of_the_eye_box_are_named(scale, named):
+def test_places_that_span_little_of_the_eye_box_are_named(scale: float, named: int) -> None:
     apart = EYE_BOX.centre + scale * 0.5 * EYE_BOX.size * np.linspace(-1, 1, 20)[:, None]
     sides = [dataclasses.replace(each, viewpoint=apart, eye_box=EYE_BOX) for each in (DISPLAY, SEE_THROUGH)]
     warnings = place_warnings(Captures(*sides))
@@ -88,7 +93,7 @@ def test_places_that_span_little_of_the_eye_box_are_named(scale, named):
     assert place_warnings(Captures(alone, None)) == []
 
 
-def assert_same(first, second):
+def assert_same(first: Any, second: Any) -> None:
     assert type(first) is type(second)
     for field in dataclasses.fields(first):
         a, b = getattr(first, field.name), getattr(second, field.name)
@@ -103,33 +108,33 @@ def assert_same(first, second):
     [Captures(DISPLAY), Captures(DISPLAY, SEE_THROUGH), WITH_MOTION],
     ids=["display", "both", "with motion"],
 )
-def test_captures_come_back_exactly(tmp_path, captures):
+def test_captures_come_back_exactly(tmp_path: Path, captures: Captures) -> None:
     read = load_captures(captures.save(tmp_path / "eye.npz"))
     assert_same(read, captures)
-    assert np.isnan(read.display.time_s).all()
+    assert np.isnan(present(read.display).time_s).all()
 
 
-def test_captures_come_back_with_what_was_recorded_and_all_colours(tmp_path):
+def test_captures_come_back_with_what_was_recorded_and_all_colours(tmp_path: Path) -> None:
     path = Captures(RECORDED, SEE_THROUGH).save(tmp_path / "eye.npz")
     shown, seen = load_observations(path).both
     assert_same(shown, RECORDED)
     assert np.isnan(seen.stage).all()
     green = load_captures(path).display
-    np.testing.assert_array_equal(green.pixel, DISPLAY.pixel[RECORDED.channel == 1])
+    np.testing.assert_array_equal(present(green).pixel, DISPLAY.pixel[RECORDED.channel == 1])
 
 
 @pytest.mark.parametrize("panel", [None, Panel(10, 8)])
-def test_targets_alone_come_back_with_the_panel_if_it_is_known(tmp_path, panel):
+def test_targets_alone_come_back_with_the_panel_if_it_is_known(tmp_path: Path, panel: Panel | None) -> None:
     path = Captures(None, SEE_THROUGH, panel).save(tmp_path / "eye.npz")
     assert load_observations(path).panel == panel
     read = load_captures(path)
     assert read.display is None
-    assert len(read.see_through) == 20
+    assert len(present(read.see_through)) == 20
     with pytest.raises(BadInputError, match="none of the panel or of a target"):
         Captures(None, None)
 
 
-def of_version_1(captures):
+def of_version_1(captures: Captures) -> dict[str, NDArray[Any]]:
     """Arrays of a file as version 1 had them."""
     box = {"centre_m": EYE_BOX.centre.tolist(), "size_m": EYE_BOX.size.tolist()}
     half = box | {"size_m": (EYE_BOX.size * 0.5).tolist()}
@@ -152,12 +157,12 @@ def of_version_1(captures):
 
 
 @pytest.mark.parametrize("captures", [Captures(DISPLAY), Captures(DISPLAY, SEE_THROUGH)], ids=["display", "both"])
-def test_files_of_version_1_are_read(tmp_path, captures):
+def test_files_of_version_1_are_read(tmp_path: Path, captures: Captures) -> None:
     np.savez(tmp_path / "eye.npz", **of_version_1(captures))
     assert_same(load_captures(tmp_path / "eye.npz"), captures)
 
 
-def rewritten(tmp_path, header, arrays):
+def rewritten(tmp_path: Path, header: dict[Any, Any], arrays: Mapping[str, Any]) -> Path:
     """A capture file with some header keys or arrays replaced; an array of None is left out."""
     path = WITH_MOTION.save(tmp_path / "eye.npz")
     with np.load(path) as archive:
@@ -264,7 +269,9 @@ def rewritten(tmp_path, header, arrays):
         ),
     ],
 )
-def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, header, arrays, sentence):
+def test_a_fault_in_a_file_is_one_sentence_with_its_name(
+    tmp_path: Path, header: dict[str, Any], arrays: Mapping[str, NDArray[Any] | None], sentence: str
+) -> None:
     path = rewritten(tmp_path, header, arrays)
     with pytest.raises(BadInputError, match=sentence) as caught:
         load_captures(path)
@@ -282,11 +289,13 @@ def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, header, array
     ],
     ids=["one side", "numbered by place", "no clock", "gaps", "without visits"],
 )
-def test_visits_and_times_that_do_not_contradict_are_read(tmp_path, arrays):
-    assert len(load_captures(rewritten(tmp_path, {}, arrays)).display) == 20
+def test_visits_and_times_that_do_not_contradict_are_read(
+    tmp_path: Path, arrays: Mapping[str, FloatArray | IntArray]
+) -> None:
+    assert len(present(load_captures(rewritten(tmp_path, {}, arrays)).display)) == 20
 
 
-def test_points_in_kilometres_and_captures_numbered_by_row_are_refused(tmp_path):
+def test_points_in_kilometres_and_captures_numbered_by_row_are_refused(tmp_path: Path) -> None:
     near = dataclasses.replace(SEE_THROUGH, point=SEE_THROUGH.viewpoint - [0, 0, 1e-3])
     with pytest.raises(BadInputError, match="real point 1 mm from its viewpoint"):
         load_captures(Captures(DISPLAY, near).save(tmp_path / "near.npz"))
@@ -296,7 +305,7 @@ def test_points_in_kilometres_and_captures_numbered_by_row_are_refused(tmp_path)
         load_captures(Captures(many).save(tmp_path / "many.npz"))
 
 
-def test_files_that_are_cut_short_foreign_or_absent(tmp_path):
+def test_files_that_are_cut_short_foreign_or_absent(tmp_path: Path) -> None:
     path = Captures(DISPLAY).save(tmp_path / "eye.npz")
     path.write_bytes(path.read_bytes()[:700])
     with pytest.raises(BadInputError, match="cannot be read as a capture file"):
@@ -315,7 +324,7 @@ def test_files_that_are_cut_short_foreign_or_absent(tmp_path):
         load_captures(array)
 
 
-def test_rows_of_both_kinds_may_be_mixed_and_are_named_by_their_place_in_the_file(tmp_path):
+def test_rows_of_both_kinds_may_be_mixed_and_are_named_by_their_place_in_the_file(tmp_path: Path) -> None:
     path = Captures(RECORDED, SEE_THROUGH).save(tmp_path / "eye.npz")
     with np.load(path) as archive:
         content = dict(archive)
@@ -331,14 +340,14 @@ def test_rows_of_both_kinds_may_be_mixed_and_are_named_by_their_place_in_the_fil
         load_captures(path)
 
 
-def test_a_row_that_is_repeated_is_named(tmp_path):
+def test_a_row_that_is_repeated_is_named(tmp_path: Path) -> None:
     rows = np.append(np.arange(20), 3)
     path = Captures(select(DISPLAY, rows)).save(tmp_path / "eye.npz")
     with pytest.raises(BadInputError, match="row 20 repeats row 3"):
         load_captures(path)
 
 
-def test_more_rows_than_are_read_are_refused_before_they_take_memory(tmp_path):
+def test_more_rows_than_are_read_are_refused_before_they_take_memory(tmp_path: Path) -> None:
     many = np.zeros((20_000_000, 3), dtype=np.int8)
     path = rewritten(tmp_path, {}, {})
     with np.load(path) as archive:
@@ -351,6 +360,6 @@ def test_more_rows_than_are_read_are_refused_before_they_take_memory(tmp_path):
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # kB: 480 000 in floats
 
 
-def test_other_suffixes_are_refused(tmp_path):
+def test_other_suffixes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"must be named \*\.npz"):
         Captures(DISPLAY).save(tmp_path / "eye.json")

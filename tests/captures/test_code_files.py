@@ -1,12 +1,17 @@
 """Which picture each file of a code set shows, and exposures that are merged."""
 
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
-from wlr_render.captures.code_files import find_code_files
-from wlr_render.captures.decoded import DecodeOptions
+from wlr_render.captures.code_files import CodeFiles, find_code_files
+from wlr_render.captures.decoded import Decoded, DecodeOptions
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import write_photograph
@@ -18,11 +23,11 @@ NAMES = PATTERN.names()
 KIND = PhotographFormat(8)
 
 
-def shown(number):
+def shown(number: int) -> NDArray[np.uint8]:
     return PATTERN.image(number) // 2 + 20
 
 
-def write(folder, names):
+def write(folder: Path, names: Sequence[Any]) -> Path:
     """One file for each picture, with these names; None leaves it away."""
     for number, name in enumerate(names):
         if name:
@@ -30,19 +35,19 @@ def write(folder, names):
     return folder
 
 
-def decoded(folder, kind=KIND, **how):
+def decoded(folder: Path, kind: PhotographFormat = KIND, **how: Any) -> tuple[CodeFiles, Decoded]:
     files = find_code_files(folder, NAMES, **how)
     options = DecodeOptions(kind.full_scale, end_of_scale=files.end_of_scale(kind))
     return files, PATTERN.decode(files.read(kind), options)
 
 
-def assert_right(result):
+def assert_right(result: Decoded) -> None:
     assert result.accepted.mean() > 0.95
     assert np.nanmax(np.abs(result.pixel - PATTERN.panel.pixel_centres())) < 0.01
 
 
 @pytest.mark.parametrize("gap", [None, 0, 4, 9])
-def test_names_of_the_page_that_shows_them_say_it_in_any_order(tmp_path, gap):
+def test_names_of_the_page_that_shows_them_say_it_in_any_order(tmp_path: Path, gap: int | None) -> None:
     names = [f"{900 - n:03d}_{name.replace(' ', '_')}.png" for n, name in enumerate(NAMES)]
     if gap is not None:
         names[gap] = None
@@ -51,7 +56,7 @@ def test_names_of_the_page_that_shows_them_say_it_in_any_order(tmp_path, gap):
     assert_right(result)
 
 
-def test_a_gap_in_the_numbers_is_the_missing_picture(tmp_path):
+def test_a_gap_in_the_numbers_is_the_missing_picture(tmp_path: Path) -> None:
     names = [f"IMG_{n + 17:04d}.png" for n in range(len(NAMES))]
     files, result = decoded(write(tmp_path, [*names[:7], None, *names[8:]]))
     assert files.missing == [7]
@@ -59,7 +64,7 @@ def test_a_gap_in_the_numbers_is_the_missing_picture(tmp_path):
 
 
 @pytest.mark.parametrize("gaps", [(0,), (-1,), (0, 4)])
-def test_a_set_without_its_first_or_last_number_may_be_any_other(tmp_path, gaps):
+def test_a_set_without_its_first_or_last_number_may_be_any_other(tmp_path: Path, gaps: tuple[int, ...]) -> None:
     names = [f"{n}.png" for n in range(len(NAMES))]
     for gap in gaps:
         names[gap] = None
@@ -67,14 +72,14 @@ def test_a_set_without_its_first_or_last_number_may_be_any_other(tmp_path, gaps)
         decoded(write(tmp_path, names))
 
 
-def test_the_order_of_opencv(tmp_path):
+def test_the_order_of_opencv(tmp_path: Path) -> None:
     names = [f"{(n - 2) % len(NAMES)}.png" for n in range(len(NAMES))]
     assert_right(decoded(write(tmp_path, names), order="opencv")[1])
     (tmp_path / "manifest.toml").write_text('order = "opencv"\n')
     assert_right(decoded(tmp_path)[1])
 
 
-def test_a_manifest_gives_any_file_its_role(tmp_path):
+def test_a_manifest_gives_any_file_its_role(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     names = [f"shot{n}.png" for n in rng.permutation(len(NAMES))]
     write(tmp_path, names)
@@ -110,14 +115,14 @@ def test_a_manifest_gives_any_file_its_role(tmp_path):
         ('[files]\n"../a.png" = "white"', r"manifest.toml: '../a.png' leads out of the folder"),
     ],
 )
-def test_manifests_that_cannot_be_right(tmp_path, text, sentence):
+def test_manifests_that_cannot_be_right(tmp_path: Path, text: str, sentence: str) -> None:
     write(tmp_path, [f"{n}.png" for n in range(len(NAMES))])
     (tmp_path / "manifest.toml").write_text(text)
     with pytest.raises(BadInputError, match=sentence):
         decoded(tmp_path)
 
 
-def test_exposures_are_merged_so_that_dark_and_bright_parts_decode(tmp_path):
+def test_exposures_are_merged_so_that_dark_and_bright_parts_decode(tmp_path: Path) -> None:
     pattern = make_pattern("gray", Panel(240, 30))
     height, width = pattern.image(0).shape
     vignetting = np.geomspace(1.0, 0.01, width) * np.ones((height, 1))
@@ -138,7 +143,7 @@ def test_exposures_are_merged_so_that_dark_and_bright_parts_decode(tmp_path):
     assert shares[tmp_path.name] > 0.9 > 0.7 > shares["8ms"]
 
 
-def test_exposures_without_a_time_are_refused(tmp_path):
+def test_exposures_without_a_time_are_refused(tmp_path: Path) -> None:
     for name in ("short", "long"):
         write(tmp_path / name, [f"{n}.png" for n in range(len(NAMES))])
     with pytest.raises(BadInputError, match="its exposure time is unknown"):
@@ -147,7 +152,7 @@ def test_exposures_without_a_time_are_refused(tmp_path):
     assert_right(decoded(tmp_path)[1])
 
 
-def test_automatic_exposure_within_a_set_is_named(tmp_path):
+def test_automatic_exposure_within_a_set_is_named(tmp_path: Path) -> None:
     for number in range(len(NAMES)):
         image = Image.fromarray(shown(number))
         tags = image.getexif()
@@ -158,7 +163,7 @@ def test_automatic_exposure_within_a_set_is_named(tmp_path):
         decoded(tmp_path)
 
 
-def test_names_of_another_code_are_refused_though_there_are_as_many(tmp_path):
+def test_names_of_another_code_are_refused_though_there_are_as_many(tmp_path: Path) -> None:
     names = [
         f"{n:03}_{each.replace(' ', '_')}.png"
         for n, each in enumerate(make_pattern("gray-fringes", Panel(48, 40)).names())
@@ -170,14 +175,14 @@ def test_names_of_another_code_are_refused_though_there_are_as_many(tmp_path):
         find_code_files(write(tmp_path, names[: len(NAMES)]), NAMES)
 
 
-def test_names_of_another_panel_are_refused(tmp_path):
+def test_names_of_another_panel_are_refused(tmp_path: Path) -> None:
     larger = make_pattern("gray", Panel(96, 40))
     names = [f"{n:03}_{each.replace(' ', '_')}.png" for n, each in enumerate(larger.names()[: len(NAMES)])]
     with pytest.raises(BadInputError, match=r"shows 'u bit 6', .* with the size of the panel that showed it"):
         find_code_files(write(tmp_path, names), NAMES)
 
 
-def test_a_file_that_shows_no_picture_among_named_ones_is_refused(tmp_path):
+def test_a_file_that_shows_no_picture_among_named_ones_is_refused(tmp_path: Path) -> None:
     """Also if another one is missing, so that their number is right."""
     names = [f"{n:03}_{each.replace(' ', '_')}.png" for n, each in enumerate(NAMES)]
     names[5] = "thumbnail.png"

@@ -2,10 +2,14 @@
 
 import re
 import tomllib
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.boards.board_design import design_board
@@ -34,6 +38,7 @@ from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.io.atomic_files import resource
 from wlr_render.io.toml_files import write_toml
 from wlr_render.mappings import EyeBox, Panel
+from wlr_render.numerics.arrays import FloatArray
 
 LENS = LensCamera((640, 480), np.array([700.0, 701.0]), np.array([321.0, 239.5]), np.array([0.1, 0.0, 0.0, 0, 0]))
 POSE = transforms.rigid(
@@ -44,18 +49,18 @@ KNOWN = SessionCamera((640, 480), PhotographFormat(8), calibrated=LENS)
 TILTED = np.array([0.0, 0.6, -0.8])
 
 
-def box(x_mm):
+def box(x_mm: int) -> EyeBox:
     return EyeBox(np.array([1e-3 * x_mm, 0.0, 0.0]), np.array([0.01, 0.008, 0.006]))
 
 
-def readings(*rows):
+def readings(*rows: Sequence[float]) -> list[FloatArray]:
     return [np.array(row, dtype=np.float64) for row in rows]
 
 
 GRID = readings([0.0, 0.0, 0.0], [0.002, 0.0, 0.001], [0.0, 0.003, 0.0])
 
 
-def three_axes(folder):
+def three_axes(folder: Path) -> PhotoSession:
     board = design_board(8, 7, 0.02)
     save_board(board, folder / "board.toml")
     return PhotoSession(
@@ -76,13 +81,13 @@ def three_axes(folder):
     )
 
 
-def rotary(folder):
+def rotary(folder: Path) -> PhotoSession:
     axes = (
         StageAxis("linear", TILTED, np.radians(0.2)),
         StageAxis("rotary", np.array([0.0, 1.0, 0.0]), np.radians(1.0), np.array([0.0, 0.001, -0.002])),
         StageAxis("rotary"),
     )
-    turned = readings([0.0, 0.0, 0.0], [0.002, np.radians(20), 0.1], [0.0, np.radians(-20), -0.1])
+    turned: dict[str, Any] = readings([0.0, 0.0, 0.0], [0.002, np.radians(20), 0.1], [0.0, np.radians(-20), -0.1])
     session = three_axes(folder)
     return replace(
         session,
@@ -94,7 +99,7 @@ def rotary(folder):
     )
 
 
-def by_hand(folder):
+def by_hand(folder: Path) -> PhotoSession:
     session = three_axes(folder)
     return replace(
         session,
@@ -106,7 +111,7 @@ def by_hand(folder):
     )
 
 
-def in_one_picture(folder):
+def in_one_picture(folder: Path) -> PhotoSession:
     """Through the optics and past them in one photograph; the second target pose is tied by the first."""
     session = by_hand(folder)
     regions = np.array([[0.0, 0.0, 100.0, 480.0], [600.0, 0.0, 640.0, 480.0]])
@@ -116,7 +121,7 @@ def in_one_picture(folder):
     return replace(session, beside=(*beside, other), see_through=through, display=())
 
 
-def fiducials(folder):
+def fiducials(folder: Path) -> PhotoSession:
     small = design_board(6, 6, 0.005)
     save_board(small, folder / "small.toml")
     session = three_axes(folder)
@@ -131,7 +136,7 @@ def fiducials(folder):
     )
 
 
-def optics_alone(folder):
+def optics_alone(folder) -> PhotoSession:
     session = three_axes(folder)
     axes = tuple(StageAxis("linear", direction) for direction in np.eye(3))
     return replace(
@@ -146,7 +151,7 @@ def optics_alone(folder):
     )
 
 
-def one_bare_photograph(folder):
+def one_bare_photograph(folder: Path) -> PhotoSession:
     """The stage's axes are known against the camera."""
     session = three_axes(folder)
     axes = tuple(
@@ -155,12 +160,12 @@ def one_bare_photograph(folder):
     return replace(session, stage=StageDescription(axes), bare=session.bare[:1])
 
 
-def first_target(folder):
+def first_target(folder) -> PhotoSession:
     session = three_axes(folder)
     return replace(session, gauge="target 0", display=(), tracking=(), tracking_camera=None, device_from_tracking=None)
 
 
-def both_eyes(folder, other=PANEL):
+def both_eyes(folder: Path, other: SessionPanel = PANEL) -> PhotoSession:
     session = three_axes(folder)
     left = tuple(replace(each, name=f"l{each.name}", eye="left") for each in session.see_through)
     display = tuple(replace(each, folder=folder / f"l{each.folder.name}", eye="left") for each in session.display)
@@ -176,11 +181,11 @@ def both_eyes(folder, other=PANEL):
     )
 
 
-def two_panels(folder):
+def two_panels(folder: Path) -> PhotoSession:
     return both_eyes(folder, SessionPanel(make_pattern("gray-fringes", Panel(640, 400))))
 
 
-def colour(folder):
+def colour(folder) -> PhotoSession:
     session = three_axes(folder)
     offsets = {"red": np.array([-0.333, 0.0]), "blue": np.array([0.333, 0.25])}
     panel = SessionPanel(PANEL.pattern, offsets)
@@ -189,7 +194,7 @@ def colour(folder):
     return replace(session, panels={"right": panel}, display=display)
 
 
-def with_all_else(folder):
+def with_all_else(folder: Path) -> PhotoSession:
     """Orientations, times, sigmas, formats and kinds of lenses, places by name, an order of photographs."""
     session = three_axes(folder)
     fisheye = LensCamera((640, 480), np.array([300.0, 301.0]), np.array([321.0, 239.5]), np.full(4, 0.01), "fisheye")
@@ -230,7 +235,7 @@ BENCHES = (
 )
 
 
-def differences(ours, theirs, where="session"):
+def differences(ours: PhotoSession, theirs: PhotoSession, where: str = "session") -> list[Any]:
     """Where two values of dataclasses, tables, lists and arrays differ; boards by their files."""
     if hasattr(ours, "point_of"):
         return [] if board_table(ours) == board_table(theirs) else [where]
@@ -248,26 +253,26 @@ def differences(ours, theirs, where="session"):
     return [] if ours == theirs else [f"{where}: {ours} and {theirs}"]
 
 
-def saved(session):
+def saved(session: PhotoSession) -> Path:
     save_photo_session(session, {"pattern": "gray-fringes"}, "board.toml")
     return session.folder
 
 
 @pytest.mark.parametrize("bench", BENCHES)
-def test_what_is_written_is_read_back(bench, tmp_path):
+def test_what_is_written_is_read_back(bench: Callable[..., Any], tmp_path: Path) -> None:
     session = with_places(bench(tmp_path))
     again = load_photo_session(saved(session))
     assert differences(session, again) == []
 
 
 @pytest.mark.parametrize("bench", BENCHES)
-def test_it_is_read_the_same_in_other_axes(bench, tmp_path):
+def test_it_is_read_the_same_in_other_axes(bench: Callable[..., Any], tmp_path: Path) -> None:
     """A file in OpenXR's axes with vectors turned by hand describes the same bench."""
     session = with_places(bench(tmp_path))
     content = tomllib.loads((saved(session) / FILE).read_text())
     content["frame"] = "openxr"
 
-    def turn(table, keys):
+    def turn(table: dict[str, Any], keys: Sequence[Any]) -> None:
         for key in set(keys) & table.keys():
             table[key] = (transforms.OPENXR_FROM_OPENCV @ np.array(table[key])).tolist()
 
@@ -288,10 +293,10 @@ def test_it_is_read_the_same_in_other_axes(bench, tmp_path):
     assert named == []  # places are named as the file writes readings
 
 
-def test_readings_within_the_tolerance_are_one_place(tmp_path):
+def test_readings_within_the_tolerance_are_one_place(tmp_path: Path) -> None:
     session = three_axes(tmp_path)
     rng = np.random.default_rng(1)
-    noisy = [replace(each, stage=each.stage + rng.uniform(-5e-7, 5e-7, 3)) for each in session.display]
+    noisy = [replace(each, stage=present(each.stage) + rng.uniform(-5e-7, 5e-7, 3)) for each in session.display]
     again = load_photo_session(saved(replace(session, display=tuple(noisy))))
     assert [each.place for each in again.display] == [each.place for each in again.see_through]
     assert len({each.place for each in again.bare}) == 3
@@ -299,14 +304,14 @@ def test_readings_within_the_tolerance_are_one_place(tmp_path):
     assert not {each.place for each in exact.display} & {each.place for each in exact.see_through}
 
 
-def test_an_entry_without_a_place_joins_the_named_one_at_its_reading(tmp_path):
+def test_an_entry_without_a_place_joins_the_named_one_at_its_reading(tmp_path: Path) -> None:
     session = three_axes(tmp_path)
     named = tuple(replace(each, place=f"corner {k}") for k, each in enumerate(session.display))
     again = load_photo_session(saved(replace(session, display=named)))
     assert [each.place for each in again.bare] == ["corner 0", "corner 1", "corner 2"]
 
 
-def test_two_names_at_one_reading_stay_two_places(tmp_path):
+def test_two_names_at_one_reading_stay_two_places(tmp_path: Path) -> None:
     session = three_axes(tmp_path)
     named = tuple(replace(each, place=f"before {k}") for k, each in enumerate(session.see_through))
     later = tuple(replace(each, place=f"after {k}") for k, each in enumerate(session.display))
@@ -324,7 +329,7 @@ MODEL = """{
 """
 
 
-def test_a_lens_of_another_program_is_read(tmp_path):
+def test_a_lens_of_another_program_is_read(tmp_path: Path) -> None:
     (tmp_path / "eye.cameramodel").write_text(MODEL)
     session = three_axes(tmp_path)
     folder = saved(session)
@@ -336,9 +341,10 @@ def test_a_lens_of_another_program_is_read(tmp_path):
     write_toml(folder / FILE, content)
     found = load_photo_session(folder)
     known = found.eyeball_camera.calibrated
+    assert known is not None
     assert known.kind == "rational"
     assert np.allclose(known.values[:4], [700.0, 701.0, 321.0, 239.5])
-    assert np.allclose(found.eyeball_camera.calibrated_sigma, [0.5, 0.5, 1.5, 1.5] + [0] * 8)
+    assert np.allclose(present(found.eyeball_camera.calibrated_sigma), [0.5, 0.5, 1.5, 1.5] + [0] * 8)
     assert differences(found, load_photo_session(saved(found))) == []
     write_toml(folder / FILE, content | {"eyeball_camera": camera | {"width_px": 1280}})
     with pytest.raises(BadInputError, match=r"1280 x 480 pixels, but the lens in .* was calibrated for 640 x 480"):
@@ -348,7 +354,7 @@ def test_a_lens_of_another_program_is_read(tmp_path):
         load_photo_session(folder)
 
 
-def test_one_eye_shares_what_is_of_both(tmp_path):
+def test_one_eye_shares_what_is_of_both(tmp_path: Path) -> None:
     session = load_photo_session(saved(two_panels(tmp_path)))
     right = session.for_eye("right")
     assert (right.eye, right.pattern.panel) == ("right", Panel(640, 400))
@@ -363,7 +369,7 @@ def test_one_eye_shares_what_is_of_both(tmp_path):
     assert load_photo_session(saved(both_eyes(tmp_path))).pattern == PANEL.pattern
 
 
-def test_dots_in_a_region_are_seen_past_the_optics_and_not_through_them(tmp_path):
+def test_dots_in_a_region_are_seen_past_the_optics_and_not_through_them(tmp_path: Path) -> None:
     session = load_photo_session(saved(in_one_picture(tmp_path)))
     pixel = np.array([[50.0, 200.0], [300.0, 200.0], [620.0, 479.0], [100.0, 480.0]])
     dots = BoardObservation(np.zeros((4, 2), dtype=np.int64), pixel, np.full(4, 0.1))
@@ -378,7 +384,7 @@ def test_dots_in_a_region_are_seen_past_the_optics_and_not_through_them(tmp_path
     assert past.views_of(session.see_through) == []
 
 
-def test_a_target_may_have_a_board_of_its_own(tmp_path):
+def test_a_target_may_have_a_board_of_its_own(tmp_path: Path) -> None:
     session = load_photo_session(saved(fiducials(tmp_path)))
     assert (session.board_of(7).columns, session.board_of(0).columns) == (6, 8)
 
@@ -397,12 +403,12 @@ REPLACED = {
 }
 
 
-def test_the_manual_has_these_benches():
+def test_the_manual_has_these_benches() -> None:
     assert EXAMPLES.keys() == REPLACED.keys()
 
 
 @pytest.mark.parametrize("name", REPLACED)
-def test_an_example_of_the_manual_is_read(name, tmp_path):
+def test_an_example_of_the_manual_is_read(name: str, tmp_path: Path) -> None:
     save_board(design_board(8, 7, 0.02), tmp_path / "board.toml")
     save_board(design_board(6, 6, 0.005), tmp_path / "fiducials.toml")
     for camera in ("eyeball", "tracking"):
@@ -417,16 +423,16 @@ def test_an_example_of_the_manual_is_read(name, tmp_path):
 # Contradictions.
 
 
-def each_of(name, **keys):
-    def change(content):
+def each_of(name: str, **keys: Sequence[int] | int | str) -> Callable[[Any], None]:
+    def change(content) -> None:
         for table in content[name]:
             table.update(keys)
 
     return change
 
 
-def without(name, *keys):
-    def change(content):
+def without(name: str, *keys: str) -> Callable[[Any], None]:
+    def change(content) -> None:
         for table in content[name] if isinstance(content[name], list) else [content[name]]:
             for key in keys:
                 del table[key]
@@ -434,10 +440,10 @@ def without(name, *keys):
     return change
 
 
-def put(*path_and_value):
+def put(*path_and_value: Any) -> Callable[[Any], None]:
     *path, key, value = path_and_value
 
-    def change(content):
+    def change(content: dict[str, Any]) -> None:
         for step in path:
             content = content[step]
         content[key] = value
@@ -445,8 +451,8 @@ def put(*path_and_value):
     return change
 
 
-def drop(*names):
-    def change(content):
+def drop(*names: str) -> Callable[[Any], None]:
+    def change(content: dict[str, Any]) -> None:
         for name in names:
             del content[name]
 
@@ -512,7 +518,9 @@ def drop(*names):
          "no .* of the right eye"),
     ],
 )  # fmt: skip
-def test_each_contradiction_is_named(bench, change, complaint, tmp_path):
+def test_each_contradiction_is_named(
+    bench: Callable[..., Any], change: Callable[..., Any], complaint: str, tmp_path: Path
+) -> None:
     folder = saved(bench(tmp_path))
     content = tomllib.loads((folder / FILE).read_text())
     change(content)

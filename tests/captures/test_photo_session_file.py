@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from wlr_render.mappings import EyeBox, Panel
 
 
 @pytest.fixture
-def session(tmp_path):
+def session(tmp_path: Path) -> PhotoSession:
     board = design_board(8, 7, 0.02)
     save_board(board, tmp_path / "board.toml")
     for number in range(3):
@@ -54,7 +55,7 @@ def session(tmp_path):
     return made
 
 
-def edited(session, pattern, text):
+def edited(session: PhotoSession, pattern: str, text: str) -> Path:
     path = session.folder / FILE
     old = path.read_text()
     new = re.sub(pattern, text, old, count=1, flags=re.MULTILINE)
@@ -110,7 +111,7 @@ def edited(session, pattern, text):
         ("version = 1", "version = 2", "this program reads version 1"),
     ],
 )
-def test_each_fault_is_named(session, pattern, text, complaint):
+def test_each_fault_is_named(session: PhotoSession, pattern: str, text: str, complaint: str) -> None:
     folder = edited(session, pattern, text)
     with pytest.raises(BadInputError, match=complaint) as caught:
         load_photo_session(folder)
@@ -118,7 +119,7 @@ def test_each_fault_is_named(session, pattern, text, complaint):
     assert str(session.folder) in str(caught.value)
 
 
-def test_a_folder_without_a_session_says_so(tmp_path):
+def test_a_folder_without_a_session_says_so(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"has no session\.toml"):
         load_photo_session(tmp_path)
     (tmp_path / "bench.toml").write_text("")
@@ -126,14 +127,14 @@ def test_a_folder_without_a_session_says_so(tmp_path):
         load_photo_session(tmp_path)
 
 
-def test_an_unknown_key_is_refused(session):
+def test_an_unknown_key_is_refused(session: PhotoSession) -> None:
     with (session.folder / FILE).open("a") as file:
         file.write("\n[camera]\nwidth = 3\n")
     with pytest.raises(BadInputError, match="unknown key 'camera'"):
         load_photo_session(session.folder)
 
 
-def test_photographs_outside_the_folder_keep_their_path(session, tmp_path):
+def test_photographs_outside_the_folder_keep_their_path(session: PhotoSession, tmp_path: Path) -> None:
     elsewhere = tmp_path.parent / "x.png"
     assert replace(session, bare=()).name_of(elsewhere) == str(elsewhere)
     assert session.bare[0].name == session.name_of(session.bare[0].path) == "bare/0.png"

@@ -1,23 +1,28 @@
 """Stated against actual error of samples, from the panel's pixels to `sample`, with faults that the decoder ignores."""
 
+from collections.abc import Callable, Iterator
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
 
 from wlr_render.captures.decoded import sample
 from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.mappings import Panel
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 
 PANEL = Panel(160, 130)
 WIDTH, HEIGHT, RIM = 110, 84, 4  # camera pixels; the rim keeps the blur of the picture's border out
 FINE = 10  # samples of a camera pixel, each way
 
 
-def mapping(rng, scale):
+def mapping(rng: np.random.Generator, scale: float) -> Callable[[Any, Any], tuple[Any, Any]]:
     """Panel position of places in the picture: turned, with distortion and perspective, shifted at random."""
     shift = rng.uniform(-3, 3, 2)
 
-    def position(x, y):
+    def position(x: FloatArray, y: FloatArray) -> tuple[Any, Any]:
         x, y = x - WIDTH / 2, y - HEIGHT / 2
         stretch = scale * (1 + 0.003 * (x * x + y * y) / WIDTH**2) / (1 + 0.003 * x / WIDTH)
         across, down = x * np.cos(0.03) - y * np.sin(0.03), x * np.sin(0.03) + y * np.cos(0.03)
@@ -26,7 +31,7 @@ def mapping(rng, scale):
     return position
 
 
-def motion(rng, length_px):
+def motion(rng: np.random.Generator, length_px: float) -> Float32Array:
     """Kernel of a camera that moves along a line of random direction during the exposure."""
     size = 2 * int(np.ceil(length_px * FINE)) + 1
     kernel, way = np.zeros((size, size), np.float32), np.linspace(-0.5, 0.5, 201) * length_px * FINE
@@ -36,7 +41,16 @@ def motion(rng, length_px):
     return kernel
 
 
-def photographs(pattern, position, rng, noise, black=12, blur_px=0.4, motion_px=0.5, gamma=1.05):
+def photographs(
+    pattern: Pattern,
+    position: Callable[..., Any],
+    rng: np.random.Generator,
+    noise: float,
+    black: int = 12,
+    blur_px: float = 0.4,
+    motion_px: float = 0.5,
+    gamma: float = 1.05,
+) -> Iterator[Any]:
     """8-bit photographs; noise of photons and reading, blur of the lens, vibration, 5 % error of gamma."""
     grid = [(np.arange((size + 2 * RIM) * FINE) + 0.5) / FINE - RIM for size in (WIDTH, HEIGHT)]
     x, y = (place + rng.uniform(-0.5, 0.5, place.shape) / FINE for place in np.meshgrid(*grid))
@@ -50,7 +64,7 @@ def photographs(pattern, position, rng, noise, black=12, blur_px=0.4, motion_px=
         yield np.clip(np.round(grey), 0, 255).astype(np.uint8)
 
 
-def stated_over_actual(name, noise, black=12):
+def stated_over_actual(name: str, noise: float, black: int = 12) -> float:
     """Ratio of rms sigma and rms error of samples at three places of the camera."""
     pattern, errors, stated = make_pattern(name, PANEL), [], []
     for seed, scale in enumerate((0.8, 0.95, 1.1)):
@@ -59,17 +73,17 @@ def stated_over_actual(name, noise, black=12):
         samples = sample(pattern.decode(photographs(pattern, position, rng, noise, black)), 300)
         errors.append(samples.panel_pixel - np.stack(position(*samples.camera_pixel.T), axis=-1))
         stated.append(samples.sigma_px)
-    return np.sqrt(np.mean(np.concatenate(stated) ** 2) / np.mean(np.concatenate(errors) ** 2))
+    return float(np.sqrt(np.mean(np.concatenate(stated) ** 2) / np.mean(np.concatenate(errors) ** 2)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gray-fringes", "gray"])
 @pytest.mark.parametrize("noise", [2.0, 4.0])
-def test_stated_sigmas_are_the_actual_errors(name, noise):
+def test_stated_sigmas_are_the_actual_errors(name: str, noise: float) -> None:
     assert 0.8 < stated_over_actual(name, noise) < 1.25
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gray-fringes", "gray"])
-def test_black_that_is_clipped_makes_no_sigma_too_small(name):
+def test_black_that_is_clipped_makes_no_sigma_too_small(name: str) -> None:
     assert 0.8 < stated_over_actual(name, 2.0, black=-15) < 2

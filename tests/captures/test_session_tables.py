@@ -1,8 +1,10 @@
 """Tables of a bench session: written and read alike, turned into our conventions, and faults named with their line."""
 
 import gzip
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,10 +21,12 @@ from wlr_render.captures.session_schema import (
     SCHEMAS,
     SEE_THROUGH,
     SIGN,
+    Schema,
 )
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV
+from wlr_render.numerics.arrays import FloatArray
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "bench-session.md"
 ROWS_PER_CAPTURE = 3
@@ -34,7 +38,7 @@ capture,time_s,travel,stage_x_mm,stage_y_mm,stage_z_mm,channel,camera_u,camera_v
 """
 
 
-def random_columns(schema, rng, captures=4):
+def random_columns(schema: Schema, rng: np.random.Generator, captures: int = 4) -> dict[Any, Any]:
     """Columns of a session as a bench could deliver them."""
     count = captures * ROWS_PER_CAPTURE
     of_kind = {
@@ -51,7 +55,7 @@ def random_columns(schema, rng, captures=4):
     return columns | {name: np.repeat(columns[name][::ROWS_PER_CAPTURE], ROWS_PER_CAPTURE) for name in schema.setup}
 
 
-def assert_columns(found, expected):
+def assert_columns(found: Mapping[str, FloatArray], expected: Mapping[str, Any]) -> None:
     assert set(found) == set(expected)
     for name, value in expected.items():
         np.testing.assert_allclose(found[name], value, rtol=1e-12, atol=1e-12, err_msg=name)
@@ -59,7 +63,7 @@ def assert_columns(found, expected):
 
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz"])
 @pytest.mark.parametrize("schema", SCHEMAS, ids=lambda schema: schema.name)
-def test_what_is_written_is_read(tmp_path, schema, suffix):
+def test_what_is_written_is_read(tmp_path: Path, schema: Schema, suffix: str) -> None:
     columns = random_columns(schema, np.random.default_rng(3))
     path = write_table(tmp_path / f"{schema.name}{suffix}", schema, columns)
     assert (path.read_bytes()[:2] == b"\x1f\x8b") == (suffix == ".csv.gz")
@@ -68,7 +72,7 @@ def test_what_is_written_is_read(tmp_path, schema, suffix):
 
 @pytest.mark.parametrize(("separator", "comma"), [(";", True), (";", False), ("\t", True), ("\t", False), (",", False)])
 @pytest.mark.parametrize("quotes", ["", '"'])
-def test_tables_of_spreadsheets_are_read(tmp_path, separator, comma, quotes):
+def test_tables_of_spreadsheets_are_read(tmp_path: Path, separator: str, comma: bool, quotes: str) -> None:
     """Semicolons and decimal commas, tabs, quotes, a byte order mark and CR LF."""
     columns = random_columns(SEE_THROUGH, np.random.default_rng(5))
     path = write_table(tmp_path / "seethrough.csv", SEE_THROUGH, columns)
@@ -82,7 +86,7 @@ def test_tables_of_spreadsheets_are_read(tmp_path, separator, comma, quotes):
         read_table(path, SEE_THROUGH)
 
 
-def test_columns_may_come_in_any_order_and_optional_groups_be_absent(tmp_path):
+def test_columns_may_come_in_any_order_and_optional_groups_be_absent(tmp_path: Path) -> None:
     columns = random_columns(SEE_THROUGH, np.random.default_rng(4))
     required = [column.name for column in SEE_THROUGH.columns if not column.group]
     rows = np.stack([columns[name] for name in reversed(required)], axis=1)
@@ -92,7 +96,7 @@ def test_columns_may_come_in_any_order_and_optional_groups_be_absent(tmp_path):
     assert_columns(read_table(path, SEE_THROUGH), {name: columns[name] for name in required} | absent)
 
 
-def test_without_times_a_place_may_be_visited_twice(tmp_path):
+def test_without_times_a_place_may_be_visited_twice(tmp_path: Path) -> None:
     path = tmp_path / "display.csv"
     rows = np.loadtxt(ROWS.splitlines()[1:], delimiter=",")
     header = ROWS.splitlines()[0].split(",")
@@ -111,7 +115,7 @@ def test_without_times_a_place_may_be_visited_twice(tmp_path):
 
 @pytest.mark.parametrize("axes", [np.eye(3), OPENXR_FROM_OPENCV], ids=["openxr", "opencv"])
 @pytest.mark.parametrize("schema", SCHEMAS, ids=lambda schema: schema.name)
-def test_plans_and_readings_become_the_columns_they_came_from(schema, axes):
+def test_plans_and_readings_become_the_columns_they_came_from(schema: Schema, axes: FloatArray) -> None:
     columns = random_columns(schema, np.random.default_rng(5))
     found = schema.to_file(*schema.of_file(columns, axes), axes)
     for quaternion in schema.unit_vectors:  # q and -q are one rotation
@@ -120,7 +124,7 @@ def test_plans_and_readings_become_the_columns_they_came_from(schema, axes):
     assert_columns(found, columns)
 
 
-def test_frame_unit_and_pixel_become_ours():
+def test_frame_unit_and_pixel_become_ours() -> None:
     rng = np.random.default_rng(6)
     columns = random_columns(DISPLAY, rng) | {
         f"stage_{axis}_mm": np.full(12, v) for axis, v in zip("xyz", (1, 2, 3), strict=True)
@@ -179,7 +183,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_are_one_sentence_that_names_file_and_place(tmp_path, fault):
+def test_faults_are_one_sentence_that_names_file_and_place(tmp_path: Path, fault: str) -> None:
     old, new, sentence = FAULTS[fault]
     assert ROWS.count(old) == 1
     path = tmp_path / "display.csv"
@@ -190,13 +194,13 @@ def test_faults_are_one_sentence_that_names_file_and_place(tmp_path, fault):
     assert sentence in str(caught.value)
 
 
-def test_the_table_that_faults_are_made_from_has_none(tmp_path):
+def test_the_table_that_faults_are_made_from_has_none(tmp_path: Path) -> None:
     path = tmp_path / "display.csv"
     path.write_text(ROWS.replace("\n", "\r\n\r\n"), encoding="utf-8-sig")
     np.testing.assert_array_equal(read_table(path, DISPLAY)["pixel_u"], [100.0, 120.0, 101.0])
 
 
-def test_part_of_a_quaternion_and_a_wrong_length_are_refused(tmp_path):
+def test_part_of_a_quaternion_and_a_wrong_length_are_refused(tmp_path: Path) -> None:
     columns = random_columns(SEE_THROUGH, np.random.default_rng(7))
     path = write_table(tmp_path / "seethrough.csv", SEE_THROUGH, {k: v for k, v in columns.items() if k != "camera_qy"})
     with pytest.raises(BadInputError, match="column 'camera_qy' is missing"):
@@ -207,7 +211,7 @@ def test_part_of_a_quaternion_and_a_wrong_length_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("sigma", ["0", "-0.1", "nan", "inf"])
-def test_a_sigma_that_is_not_positive_is_refused_with_its_line(tmp_path, sigma):
+def test_a_sigma_that_is_not_positive_is_refused_with_its_line(tmp_path: Path, sigma: str) -> None:
     sigmas = iter(["sigma_px", "0.1", "0.2", sigma])
     path = tmp_path / "display.csv"
     path.write_text("\n".join(f"{line},{next(sigmas)}" for line in ROWS.splitlines()), encoding="utf-8")
@@ -216,7 +220,9 @@ def test_a_sigma_that_is_not_positive_is_refused_with_its_line(tmp_path, sigma):
         read_table(path, DISPLAY)
 
 
-def test_a_table_has_a_largest_number_of_rows_and_size_decompressed(tmp_path, monkeypatch):
+def test_a_table_has_a_largest_number_of_rows_and_size_decompressed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "display.csv"
     path.write_text(ROWS, encoding="utf-16")
     with pytest.raises(BadInputError, match="is not UTF-8 text, so this is not a table"):
@@ -233,7 +239,7 @@ def test_a_table_has_a_largest_number_of_rows_and_size_decompressed(tmp_path, mo
 
 
 @pytest.mark.parametrize("content", [b"", b"capture", gzip.compress(ROWS.encode())[:60]], ids=["empty", "text", "cut"])
-def test_a_broken_gzip_file_is_named(tmp_path, content):
+def test_a_broken_gzip_file_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "display.csv.gz"
     path.write_bytes(content)
     with pytest.raises(BadInputError, match=r"display\.csv\.gz"):
@@ -241,7 +247,7 @@ def test_a_broken_gzip_file_is_named(tmp_path, content):
 
 
 @pytest.mark.parametrize("schema", SCHEMAS, ids=lambda schema: schema.name)
-def test_the_documentation_has_the_schema(schema):
+def test_the_documentation_has_the_schema(schema: Schema) -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
     documented = text[text.index(f"\n## {schema.name}.csv\n") :].split("\n## ")[1].splitlines()
     rows = [line for line in documented if line.startswith("| `")]

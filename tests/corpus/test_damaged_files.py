@@ -2,8 +2,9 @@
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ NUMBER = re.compile(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?")
 
 
 @st.composite
-def damages(draw):
+def damages(draw: Callable[..., Any]) -> Callable[[bytes], bytes]:
     """A function of a file's content that flips, cuts, doubles or replaces something at a random place."""
     kind = draw(st.sampled_from(["flip", "cut", "double", "drop", "number", "number", "number"]))
     place, length, wrong = draw(st.floats(0, 1)), draw(st.integers(1, 60)), draw(st.sampled_from(WRONG))
@@ -67,7 +68,7 @@ def wrongly_infinite(value: Any) -> list[str]:
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_damage_ends_in_a_sentence_or_a_result(name, bases, tmp_path):
+def test_damage_ends_in_a_sentence_or_a_result(name: str, bases: Path, tmp_path: Path) -> None:
     # The lenses and boards of a session are beside it, a mesh finds its textures, and a lens its glasses.
     Case("", (), tuple(path.name for path in bases.iterdir() if path.name == name.split("/")[0])).build(bases, tmp_path)
     for neighbour in ("box.obj", "lens.zmx", "glasses.agf"):
@@ -84,7 +85,7 @@ def test_damage_ends_in_a_sentence_or_a_result(name, bases, tmp_path):
         suppress_health_check=list(HealthCheck),
     )
     @given(damages())
-    def check(damage):
+    def check(damage: Callable[..., Any]) -> None:
         path.write_bytes(damage(valid))
         try:
             result = READERS[name](path)

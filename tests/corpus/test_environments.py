@@ -7,8 +7,10 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,14 +26,14 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
-def folder(bases, tmp_path):
+def folder(bases: Path, tmp_path: Path) -> Path:
     made = tmp_path / "case"
     made.mkdir()
     Case("", (), FILES).build(bases, made)
     return made
 
 
-def run(command, folder, **environment):
+def run(command: str, folder: Path, **environment: Any) -> Outcome:
     """Run a shell command whose `@` stands for the program."""
     surroundings = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"} | environment
     kept = {name: value for name, value in surroundings.items() if value is not None}
@@ -40,7 +42,7 @@ def run(command, folder, **environment):
     return Outcome(done.returncode, done.stdout.decode(), done.stderr.decode(), False, 0.0, 0.0)
 
 
-def judged(folder, command, expected, names=(), **environment):
+def judged(folder: Path, command: str, expected: str, names: tuple[str] = (), **environment: Any) -> Outcome:
     before = snapshot(folder)
     outcome = run(command, folder, **environment)
     case = replace(Case("", (), names=names), expected=expected)
@@ -50,7 +52,7 @@ def judged(folder, command, expected, names=(), **environment):
 
 ASCII = {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 # Each holds variables that do not act on each other.
-ENVIRONMENTS = {
+ENVIRONMENTS: dict[str, Any] = {
     "ASCII, 20 columns, HOME nowhere": ASCII | {"COLUMNS": "20", "HOME": "/nowhere/at/all"},
     "LANG=C, 1 column, no HOME, all warnings": {
         "LANG": "C",
@@ -67,13 +69,13 @@ ENVIRONMENTS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("title", ENVIRONMENTS)
-def test_variables(folder, title):
+def test_variables(folder: Path, title: str) -> None:
     judged(folder, f"@ {GOOD}", "right", **ENVIRONMENTS[title])
     judged(folder, f"@ {BAD}", "refused", ("nowhere.toml",), **ENVIRONMENTS[title])
 
 
 @pytest.mark.slow
-def test_a_name_in_another_script(folder):
+def test_a_name_in_another_script(folder: Path) -> None:
     name = "ger\u00e4t-\u732b.toml"
     (folder / "device.toml").rename(folder / name)
     judged(folder, "@ " + GOOD.replace("device.toml", name), "right", LANG="C", LC_ALL="C")
@@ -91,7 +93,7 @@ def test_a_name_in_another_script(folder):
         (BAD, "<&- >&- 2>&-", 2),
     ],
 )
-def test_closed_streams(folder, command, closed, status):
+def test_closed_streams(folder: Path, command: str, closed: str, status: int) -> None:
     outcome = run(f"@ {command} {closed}", folder)
     assert outcome.status == status, outcome.err
     assert "Traceback" not in outcome.out + outcome.err
@@ -99,7 +101,7 @@ def test_closed_streams(folder, command, closed, status):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "full"), [(BAD, "2>/dev/full"), (GOOD, ">/dev/full"), ("--help", ">/dev/full")])
-def test_full_streams(folder, command, full):
+def test_full_streams(folder: Path, command: str, full: str) -> None:
     outcome = run(f"@ {command} {full}", folder)
     assert outcome.status in (0, 2), outcome.err
     assert "Traceback" not in outcome.out + outcome.err
@@ -107,13 +109,13 @@ def test_full_streams(folder, command, full):
 
 
 @pytest.mark.slow
-def test_a_reader_that_has_seen_enough(folder):
+def test_a_reader_that_has_seen_enough(folder: Path) -> None:
     assert run("set -o pipefail; @ --help | head -1", folder).err == ""
     assert "Traceback" not in run(f"@ {GOOD} | true", folder).err
 
 
 @pytest.fixture
-def read_only(folder):
+def read_only(folder: Path) -> Iterator[Any]:
     """The folder, without the right to write; for root such a folder is made by a mount where that is allowed."""
     if os.geteuid() != 0:
         folder.chmod(0o555)
@@ -128,33 +130,33 @@ def read_only(folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [GOOD, "trace device.toml", "board --out out", "pattern --panel 64x48"])
-def test_a_read_only_folder(read_only, command):
+def test_a_read_only_folder(read_only: Any, command: str) -> None:
     folder, mount = read_only
     words = f"unshare -m bash -c '{mount} @ {command}'" if mount else f"@ {command}"
     judged(folder, words, "refused", ("out",))
 
 
 @pytest.mark.slow
-def test_a_folder_that_was_removed(folder):
+def test_a_folder_that_was_removed(folder: Path) -> None:
     outcome = run(f"mkdir gone && cd gone && rmdir ../gone && @ {BAD}", folder)
     assert outcome.status == 2
     assert "Traceback" not in outcome.err
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")
-def test_a_file_without_permission(folder):
+def test_a_file_without_permission(folder: Path) -> None:
     (folder / "device.toml").chmod(0)
     judged(folder, f"@ {GOOD}", "refused", ("device.toml",))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", ["-n 40", "-f 0", "-u 60"])
-def test_limits_of_the_system(folder, limit):
+def test_limits_of_the_system(folder: Path, limit: str) -> None:
     outcome = run(f"ulimit {limit}; @ {GOOD}", folder)
     assert outcome.status in (0, 2), f"{outcome.status} {outcome.err}"
     assert "Traceback" not in outcome.out + outcome.err
     assert not [name for name in snapshot(folder) if Path(name).name.startswith(".")]
 
 
-def test_the_program_starts_from_everywhere(tmp_path):
+def test_the_program_starts_from_everywhere(tmp_path: Path) -> None:
     assert run("@ --version", tmp_path).status == 0

@@ -1,5 +1,7 @@
 """One small bench and session for all tests of the procedure's parts."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from diagnosis.small_session import (
@@ -11,48 +13,53 @@ from diagnosis.small_session import (
     small_plan,
     with_moved_capture,
 )
+from numpy.typing import NDArray
+from present import present
 
+from wlr_render.bench.bench import Bench
 from wlr_render.captures.session import SessionPlan
+from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.prediction import Predictor
+from wlr_render.diagnosis.report import Diagnosis
 
 
 @pytest.fixture(scope="session")
-def bench():
+def bench() -> Bench:
     return small_bench()
 
 
 @pytest.fixture(scope="session")
-def plan(bench):
+def plan(bench: Bench) -> SessionPlan:
     """Display and see-through readings."""
     return small_plan(bench)
 
 
 @pytest.fixture(scope="session")
-def run_time(bench):
+def run_time(bench: Bench) -> SessionPlan:
     """Run-time readings alone."""
     return SessionPlan(run_time=run_time_plan(bench))
 
 
 @pytest.fixture(scope="session")
-def clean(bench, plan):
+def clean(bench: Bench, plan: SessionPlan) -> Observations:
     """Observations of a bench with nothing wrong, without noise."""
     return measured(bench, plan)
 
 
 @pytest.fixture(scope="session")
-def predictor(clean):
+def predictor(clean: Observations) -> Predictor:
     """Of the clean observations."""
     return Predictor(clean)
 
 
 @pytest.fixture(scope="session")
-def everything(clean):
+def everything(clean: Observations) -> NDArray[Any]:
     """All readings count."""
     return np.ones(len(clean), dtype=bool)
 
 
 @pytest.fixture(scope="session")
-def explained(bench, plan):
+def explained(bench: Bench, plan: SessionPlan) -> Diagnosis:
     """Diagnosis of a session with a tilted combiner, a target printed too large, and a display capture that moved."""
     truth = {"combiner_tilt": [0.3, -0.2, 0.3], "target_scale": [0.3, 0.3]}
     observations = with_moved_capture(measured(bench, plan, SIGMA_PX, seed=4, **truth), bench, 3)
@@ -60,21 +67,21 @@ def explained(bench, plan):
 
 
 @pytest.fixture(scope="session")
-def located(bench, plan):
+def located(bench: Bench, plan: SessionPlan) -> Diagnosis:
     """Diagnosis of a session whose panel is bent in waves, and whose noise is twice what is stated."""
     observations = measured(bench, plan, 2 * SIGMA_PX, seed=5)
     read = observations.session.readings
-    read.panel_pixel[:, 0] += 4.0 * np.sin(2 * np.pi * read.panel_pixel[:, 0] / 500)
+    present(read.panel_pixel)[:, 0] += 4.0 * np.sin(2 * np.pi * present(read.panel_pixel)[:, 0] / 500)
     return diagnosed(observations, ("target_scale", "stage_scale"))
 
 
 @pytest.fixture(scope="session")
-def nothing(bench, plan):
+def nothing(bench: Bench, plan: SessionPlan) -> Diagnosis:
     """Diagnosis of a session with nothing wrong."""
     return diagnosed(measured(bench, plan, SIGMA_PX, seed=6), ("target_scale", "combiner_tilt"))
 
 
 @pytest.fixture(scope="session")
-def late(bench, run_time):
+def late(bench: Bench, run_time: SessionPlan) -> Diagnosis:
     """Diagnosis of run-time readings with a latency of 11 ms."""
     return diagnosed(measured(bench, run_time, SIGMA_PX, seed=7, latency=[11.0]), ("latency", "eye_position_bias"))

@@ -1,8 +1,11 @@
 """A session small enough to be fitted in a fraction of a second, yet one that tells the causes apart."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+from present import present
 
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.bench.simulate_session import simulate
@@ -14,15 +17,17 @@ from wlr_render.captures.session import (
     SessionPlan,
 )
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import fit
+from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.noise import Noise, NoiseFloor
-from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.report import Diagnosis
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.scatter import Scatter
 from wlr_render.optics.device_file import load_device
 
@@ -31,7 +36,7 @@ SECONDS = 60.0
 """From one capture to the next."""
 
 
-def small_bench():
+def small_bench() -> Bench:
     """Project North Star before a camera of 1.2 arcminutes per pixel, and a target at two distances."""
     device = load_device("northstar")
     middle = device.eyes["right"].eye_box.centre
@@ -42,7 +47,7 @@ def small_bench():
     return Bench(device, "right", camera, Stage(middle), Target(poses, np.array([0.03, 0.07])))
 
 
-def stage_positions():
+def stage_positions() -> tuple[FloatArray, FloatArray]:
     """(18, 3) offsets and (18,) directions of the last move; the first two places are visited again at the end."""
     offsets = np.array([[x, y, z] for z in (-3, 3) for y in (-3, 3) for x in (-4, -1.5, 1.5, 4)]) * 1e-3
     offsets[4:8], offsets[12:] = offsets[7:3:-1], offsets[15:11:-1]
@@ -50,7 +55,7 @@ def stage_positions():
     return np.concatenate([offsets, offsets[:2]]), np.append(travel, travel[:2])
 
 
-def small_plan(bench):
+def small_plan(bench: Bench) -> SessionPlan:
     """Display and see-through readings: 18 captures of 56 points, and 2 times 9 of 49 dots."""
     offsets, travel = stage_positions()
     place = bench.stage.origin + offsets
@@ -65,7 +70,7 @@ def small_plan(bench):
     return SessionPlan(display, _see_through(bench, place[::2], travel[::2]))
 
 
-def _see_through(bench, place, travel):
+def _see_through(bench: Bench, place: FloatArray, travel: FloatArray) -> SeeThroughPlan:
     x, y = np.meshgrid(np.arange(-3, 4), np.arange(-3, 4))
     dots = np.stack([x, y], axis=-1).reshape(-1, 2)
     poses = len(bench.target.pitch)
@@ -75,7 +80,9 @@ def _see_through(bench, place, travel):
     return SeeThroughPlan(capture, time_s, travel[capture], place[capture], pose, dot)
 
 
-def run_time_plan(bench, rows=160, captures=8, distance_m=(0.4, 3.0)):
+def run_time_plan(
+    bench: Bench, rows: int = 160, captures: int = 8, distance_m: tuple[float, float] = (0.4, 3.0)
+) -> RunTimePlan:
     """Run-time readings while the head turns: dots in the display's field at several distances."""
     rng = np.random.default_rng(21)
     viewpoint = bench.stage.origin + rng.uniform(-2e-3, 2e-3, (rows, 3))
@@ -88,25 +95,25 @@ def run_time_plan(bench, rows=160, captures=8, distance_m=(0.4, 3.0)):
     return RunTimePlan(capture, 0.1 * np.arange(rows), head, velocity, rate, viewpoint, gaze, dot)
 
 
-def hypothesis(name, variant=0):
+def hypothesis(name: str, variant: int = 0) -> Hypothesis:
     """A cause acting in one of its ways, by number."""
     return Hypothesis(CAUSES[name], list(CAUSES[name].variants)[variant])
 
 
-def explanation(**values):
+def explanation(**values: ArrayLike) -> Explanation:
     """Causes by name at values, each in its usual way."""
     names = tuple(hypothesis(name) for name in values)
     return Explanation(names, tuple(np.asarray(each, dtype=float) for each in values.values()))
 
 
-def measured(bench, plan, sigma_px=0.0, seed=0, **causes):
+def measured(bench: Bench, plan: SessionPlan, sigma_px: float = 0.0, seed: int = 0, **causes: Any) -> Observations:
     """Observations of a session read by a bench with causes at work (name=values), with noise of camera pixels."""
     read = simulate(explanation(**causes).bench(bench), plan)
     observations = Predictor.of_session(bench, Session("small", plan, read)).observations
     return with_noise(observations, sigma_px, np.random.default_rng(seed))
 
 
-def with_noise(observations, sigma_px, rng):
+def with_noise(observations: Observations, sigma_px: float, rng: np.random.Generator) -> Observations:
     """The same observations with more noise in every part."""
     read = observations.session.readings
     changes = {}
@@ -120,13 +127,13 @@ def with_noise(observations, sigma_px, rng):
     return with_readings(observations, **changes)
 
 
-def with_readings(observations, **changes):
+def with_readings(observations: Observations, **changes: Any) -> Observations:
     """Observations with other readings."""
     session = observations.session
     return replace(observations, session=replace(session, readings=replace(session.readings, **changes)))
 
 
-def weighed(observations, shared=0.0, reach_px=float("nan")):
+def weighed(observations: Observations, shared: float = 0.0, reach_px: float = float("nan")) -> WeighedReadings:
     """Readings whose noise is as stated, and of which neighbours share a part."""
     numbers = (SIGMA_PX, SIGMA_PX, float("nan"), SIGMA_PX, 0.0, SIGMA_PX)
     floors = tuple(
@@ -137,31 +144,40 @@ def weighed(observations, shared=0.0, reach_px=float("nan")):
     return WeighedReadings.of(Predictor(observations), noise)
 
 
-def scatter_of(observations, shift_um=0.0, turn_urad=0.0, moved=()):
+def scatter_of(
+    observations: Observations, shift_um: float = 0.0, turn_urad: float = 0.0, moved: tuple[int, ...] = ()
+) -> Scatter:
     """Noise as stated, motions of one size in all parts, and the captures that moved by number."""
     ones = np.ones(len(PART_NAMES))
     names = np.isin(np.arange(len(observations.captures)), moved)
     return Scatter(ones, (shift_um + 1e-6) * ones, (turn_urad + 1e-6) * ones, names)
 
 
-def fitted_at_rest(observations, start, **options):
+def fitted_at_rest(observations: Observations, start: Explanation, **options: Any) -> Fit | None:
     """A fit where the camera is known to repeat exactly, and noise to be as stated."""
     return fit(weighed(observations), start, scatter_of(observations), vary_scatter=False, **options)
 
 
-def fitted(observations, start, **options):
+def fitted(observations: Observations, start: object, **options: Any) -> Fit | None:
     """A fit that finds the sizes of what is random, from those of an ordinary bench on."""
     return fit(weighed(observations), start, Scatter.usual(len(observations.captures)), **options)
 
 
-def with_moved_capture(observations, bench, number):
+def with_moved_capture(observations: Observations, bench: Bench, number: int) -> Observations:
     """One capture read by a camera that stands and looks elsewhere."""
     motions = np.zeros((len(observations.captures), 6))
     motions[number] = [500.0, -400.0, 300.0, *(1e6 * np.radians([0.1, -0.1, 0.2]))]
     return with_motions(observations, bench, motions)
 
 
-def with_jitter(observations, bench, shift_um, rng, turn_urad=0.0, dof=np.inf):
+def with_jitter(
+    observations: Observations,
+    bench: Bench,
+    shift_um: float,
+    rng: np.random.Generator,
+    turn_urad: float = 0.0,
+    dof: int = np.inf,
+) -> Observations:
     """The same readings by a camera that stands and looks elsewhere in each capture, by normal or Student's motions."""
     captures = len(observations.captures)
     kicks = rng.normal(size=(captures, 6)) * np.repeat([shift_um, turn_urad], 3)
@@ -171,10 +187,10 @@ def with_jitter(observations, bench, shift_um, rng, turn_urad=0.0, dof=np.inf):
     return with_motions(observations, bench, kicks)
 
 
-def with_motions(observations, bench, motions):
+def with_motions(observations: Observations, bench: Bench, motions: FloatArray) -> Observations:
     """The same readings by a camera that moves by (captures, 6) micrometres and microradians."""
     plan, read = observations.session.plan, observations.session.readings
-    panel, dots = read.panel_pixel.copy(), read.dot_pixel.copy()
+    panel, dots = present(read.panel_pixel).copy(), present(read.dot_pixel).copy()
     here = simulate(bench, plan)
     for number in np.flatnonzero(np.any(motions != 0.0, axis=1)):
         shift, turn = 1e-3 * motions[number, :3], np.degrees(1e-6 * motions[number, 3:])
@@ -183,13 +199,13 @@ def with_motions(observations, bench, motions):
         there = simulate(explanation(camera_pupil_offset=shift, camera_rotation=turn).bench(bench), mine)
         shown, seen = rows[observations.part == DISPLAY], rows[observations.part == SEE_THROUGH]
         if shown.any():
-            panel[shown] += there.panel_pixel - here.panel_pixel[shown]
+            panel[shown] += there.panel_pixel - present(here.panel_pixel)[shown]
         if seen.any():
-            dots[seen] += there.dot_pixel - here.dot_pixel[seen]
+            dots[seen] += there.dot_pixel - present(here.dot_pixel)[seen]
     return with_readings(observations, panel_pixel=panel, dot_pixel=dots)
 
 
-def diagnosed(observations, names):
+def diagnosed(observations: Observations, names: tuple[str, ...]) -> Diagnosis:
     """A whole diagnosis with a few causes, so that it is quick."""
     causes = {name: CAUSES[name] for name in names}
     return diagnose(observations.nominal, observations.session, causes=causes, settings=Settings(subsample=1200))

@@ -1,21 +1,27 @@
 """Repeatability excuses motions that differ from capture to capture, and no error that all captures have in common."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from diagnosis.small_session import SIGMA_PX, measured, with_jitter, with_noise
 
+from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.bench.simulate_session import simulate
-from wlr_render.captures.session import Session
-from wlr_render.diagnosis.bench_prediction import effect_errors, predict_session
+from wlr_render.captures.session import Session, SessionPlan
+from wlr_render.diagnosis.bench_prediction import PredictedPart, effect_errors, predict_session
 from wlr_render.diagnosis.observations import DISPLAY
 from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
 
 
-def predicted(bench, plan, shift_um=0.0, turn_urad=0.0, **causes):
+def predicted(
+    bench: Bench, plan: SessionPlan, shift_um: float = 0.0, turn_urad: float = 0.0, **causes: Any
+) -> dict[str, PredictedPart]:
     """Parts by name of a session with a few small errors of the bench, whose stage repeats to some size."""
     observations = measured(bench, plan, SIGMA_PX, seed=3, **causes)
     observations = with_jitter(observations, bench, shift_um, np.random.default_rng(1), turn_urad, dof=5)
@@ -23,7 +29,9 @@ def predicted(bench, plan, shift_um=0.0, turn_urad=0.0, **causes):
 
 
 @pytest.mark.parametrize(("shift_um", "turn_urad"), [(0.0, 0.0), (15.0, 30.0), (60.0, 100.0)])
-def test_captures_that_scatter_as_stages_do_are_predicted(bench, plan, shift_um, turn_urad):
+def test_captures_that_scatter_as_stages_do_are_predicted(
+    bench: Bench, plan: SessionPlan, shift_um: float, turn_urad: float
+) -> None:
     for part in predicted(bench, plan, shift_um, turn_urad).values():
         assert part.is_noise
         assert part.whitened == pytest.approx(1.0, abs=0.1)
@@ -40,14 +48,20 @@ def test_captures_that_scatter_as_stages_do_are_predicted(bench, plan, shift_um,
     ],
     ids="+".join,
 )
-def test_an_error_that_all_captures_have_in_common_is_no_repeatability(bench, plan, repeatability, causes, parts):
+def test_an_error_that_all_captures_have_in_common_is_no_repeatability(
+    bench: Bench,
+    plan: SessionPlan,
+    repeatability: tuple[float, float],
+    causes: Mapping[str, Any],
+    parts: tuple[str, ...],
+) -> None:
     """Each is smaller than 200 um and 600 urad, so that random motions of each capture would explain it."""
     found = predicted(bench, plan, *repeatability, **causes)
     assert {name for name, part in found.items() if not part.is_noise} == set(parts)
     assert all(found[name].whitened > 1.05 for name in parts)
 
 
-def warped(covariance=None, coefficients=0.0):
+def warped(covariance: FloatArray | None = None, coefficients: FloatArray | float = 0.0) -> BenchEffect:
     """A panel whose warp is known to half a pixel in each of six terms."""
     orders = total_degree(2, 2)
     function = Polynomial(orders, Box(np.zeros(2), np.full(2, 1500.0)), np.zeros((len(orders), 2)) + coefficients)
@@ -55,11 +69,13 @@ def warped(covariance=None, coefficients=0.0):
 
 
 @pytest.fixture(scope="module")
-def root():
+def root() -> FloatArray:
     return 0.5 * np.eye(12) + 0.1 * np.random.default_rng(1).normal(size=(12, 12))
 
 
-def test_errors_of_effects_have_the_covariance_of_their_coefficients(bench, plan, root):
+def test_errors_of_effects_have_the_covariance_of_their_coefficients(
+    bench: Bench, plan: SessionPlan, root: FloatArray
+) -> None:
     uncertain = replace(bench, effects=(warped(root @ root.T),))
     predictor = Predictor.of_session(uncertain, Session("s", plan, simulate(uncertain, plan)))
     errors, rng = effect_errors(predictor), np.random.default_rng(2)
@@ -74,7 +90,9 @@ def test_errors_of_effects_have_the_covariance_of_their_coefficients(bench, plan
     assert effect_errors(Predictor.of_session(bench, Session("s", plan, simulate(bench, plan)))).shape[2] == 0
 
 
-def test_a_bench_whose_effects_are_uncertain_predicts_within_their_errors(bench, plan, root):
+def test_a_bench_whose_effects_are_uncertain_predicts_within_their_errors(
+    bench: Bench, plan: SessionPlan, root: FloatArray
+) -> None:
     true = replace(bench, effects=(warped(None, (root @ np.random.default_rng(3).normal(size=12)).reshape(6, 2)),))
     observations = Predictor.of_session(bench, Session("s", plan, simulate(true, plan))).observations
     session = with_noise(observations, SIGMA_PX, np.random.default_rng(4)).session

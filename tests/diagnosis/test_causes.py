@@ -1,16 +1,22 @@
 """What every cause promises, whatever it is: nothing at null, its own part of the bench only, smooth and additive."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
 from diagnosis.small_session import run_time_plan
+from numpy.typing import NDArray
+from present import present
 
+from wlr_render.bench.bench import Bench
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import SeeThroughPlan, SessionPlan, select_rows
-from wlr_render.diagnosis.cause import Role
+from wlr_render.diagnosis.cause import Cause, Role
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.optics.assembly import ASSEMBLY_ERRORS, assembled
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.assembly import ASSEMBLY_ERRORS, AssemblyError, assembled
 from wlr_render.optics.device import Path
 from wlr_render.optics.device_file import load_device, save_device
 from wlr_render.optics.tracer import trace
@@ -63,7 +69,7 @@ every_way = pytest.mark.parametrize(("cause", "variant"), WAYS, ids=IDS)
 every_device_way = pytest.mark.parametrize(("cause", "variant"), DEVICE_WAYS, ids=DEVICE_IDS)
 
 
-def sized(cause, share):
+def sized(cause: Cause, share: float) -> FloatArray:
     """Values at a share of the prior sigmas; forms at their first start."""
     kinds = {
         Role.SIZE: lambda p: share * p.prior_sigma,
@@ -74,20 +80,20 @@ def sized(cause, share):
 
 
 @pytest.fixture(scope="module")
-def plans(bench, plan):
+def plans(bench: Bench, plan: SessionPlan) -> dict[bool, SessionPlan]:
     """A thinned plan for causes on the bench, and one for causes at run time."""
     few = SessionPlan(
-        select_rows(plan.display, np.arange(0, len(plan.display), 9)),
-        select_rows(plan.see_through, np.arange(0, len(plan.see_through), 9)),
+        select_rows(plan.display, np.arange(0, len(present(plan.display)), 9)),
+        select_rows(plan.see_through, np.arange(0, len(present(plan.see_through)), 9)),
     )
     return {False: few, True: SessionPlan(run_time=run_time_plan(bench, 40))}
 
 
 @pytest.fixture(scope="module")
-def read(plans):
+def read(plans: Mapping[bool, SessionPlan]) -> Callable[[Bench, Cause], FloatArray]:
     """(bench, cause) -> what it reads where the cause can be seen, in one list, camera or panel pixels."""
 
-    def all_readings(bench, cause):
+    def all_readings(bench: Bench, cause: Cause) -> FloatArray:
         found = simulate(bench, plans[cause.part in RUN_TIME])
         own = [
             found.panel_pixel,
@@ -99,13 +105,13 @@ def read(plans):
     return all_readings
 
 
-def test_the_dictionary_holds_the_named_causes_under_their_names():
+def test_the_dictionary_holds_the_named_causes_under_their_names() -> None:
     assert set(CAUSES) == NAMES
     assert [cause.name for cause in CAUSES.values()] == list(CAUSES)
 
 
 @pytest.mark.parametrize("cause", CAUSES.values(), ids=CAUSES)
-def test_a_cause_says_what_it_is(cause):
+def test_a_cause_says_what_it_is(cause: Cause) -> None:
     assert cause.part in PARTS
     for text in (cause.title, cause.source, cause.separated_by, *cause.variants):
         assert text
@@ -120,12 +126,12 @@ def test_a_cause_says_what_it_is(cause):
 
 
 @every_way
-def test_null_values_change_no_reading(bench, read, cause, variant):
+def test_null_values_change_no_reading(bench: Bench, read: Callable[..., Any], cause: Cause, variant: str) -> None:
     np.testing.assert_allclose(read(cause.perturb(bench, cause.null(), variant), cause), read(bench, cause), atol=1e-9)
 
 
 @every_way
-def test_a_cause_changes_its_own_part_of_the_bench_only(bench, cause, variant):
+def test_a_cause_changes_its_own_part_of_the_bench_only(bench: Bench, cause: Cause, variant: str) -> None:
     changed = cause.perturb(bench, sized(cause, 1.0), variant)
     different = {
         field.name for field in fields(bench) if getattr(changed, field.name) is not getattr(bench, field.name)
@@ -135,7 +141,9 @@ def test_a_cause_changes_its_own_part_of_the_bench_only(bench, cause, variant):
 
 
 @every_way
-def test_a_small_effect_is_proportional_adds_to_itself_and_is_undone(bench, read, cause, variant):
+def test_a_small_effect_is_proportional_adds_to_itself_and_is_undone(
+    bench: Bench, read: Callable[..., Any], cause: Cause, variant: str
+) -> None:
     at_rest = read(bench, cause)
     half, whole = sized(cause, 0.05), sized(cause, 0.1)
     once = cause.perturb(bench, half, variant)
@@ -152,7 +160,7 @@ def test_a_small_effect_is_proportional_adds_to_itself_and_is_undone(bench, read
 
 
 @every_device_way
-def test_only_what_a_device_cause_names_is_moved(bench, cause, variant):
+def test_only_what_a_device_cause_names_is_moved(bench: Bench, cause: Cause, variant: str) -> None:
     device = load_device("northstar")
     both = replace(bench, device=device)
     changed = cause.perturb(both, sized(cause, 1.0), variant)
@@ -173,8 +181,8 @@ def test_only_what_a_device_cause_names_is_moved(bench, cause, variant):
 
 @pytest.mark.parametrize("device", ["northstar", "birdbath28", "plane_plate"])
 @pytest.mark.parametrize("variant", CAUSES["substrate_thickness"].variants)
-def test_a_thicker_combiner_has_a_longer_way_through_it(bench, device, variant):
-    def way(of):
+def test_a_thicker_combiner_has_a_longer_way_through_it(bench: Bench, device: str, variant: str) -> None:
+    def way(of: Bench) -> float:
         start, ahead = of.optics.eye_box.centre, np.array([0.0, -0.1, -1.0]) / np.sqrt(1.01)
         steps = of.optics.see_through.steps
         near, far = (trace(Path(met), start, ahead, 0.55).origin for met in (steps[:1], steps))
@@ -187,7 +195,9 @@ def test_a_thicker_combiner_has_a_longer_way_through_it(bench, device, variant):
 
 
 @pytest.mark.parametrize("name", sorted(IN_SEE_THROUGH_ONLY))
-def test_what_lies_behind_the_mirror_leaves_the_picture_alone(bench, plans, name):
+def test_what_lies_behind_the_mirror_leaves_the_picture_alone(
+    bench: Bench, plans: dict[bool, SessionPlan], name: str
+) -> None:
     cause = CAUSES[name]
     shown = SessionPlan(display=plans[False].display)
     before, after = (simulate(b, shown).panel_pixel for b in (bench, cause.perturb(bench, sized(cause, 1.0))))
@@ -195,14 +205,18 @@ def test_what_lies_behind_the_mirror_leaves_the_picture_alone(bench, plans, name
 
 
 @every_device_way
-def test_a_perturbed_device_is_saved_and_loaded_with_the_same_readings(tmp_path, bench, read, cause, variant):
+def test_a_perturbed_device_is_saved_and_loaded_with_the_same_readings(
+    tmp_path: Path, bench: Bench, read: Callable[[Bench, Cause], FloatArray], cause: Cause, variant: str
+) -> None:
     changed = cause.perturb(bench, sized(cause, 0.7), variant)
     loaded = replace(changed, device=load_device(str(save_device(changed.device, tmp_path / "device.toml"))))
     np.testing.assert_allclose(read(loaded, cause), read(changed, cause), atol=1e-7)
 
 
 @pytest.mark.parametrize("device", ["birdbath28", "freeform40", "prism5701202", "plane_plate"])
-def test_thickened_twice_tilted_and_behind_a_plate_any_device_survives_its_file(tmp_path, bench, plans, device):
+def test_thickened_twice_tilted_and_behind_a_plate_any_device_survives_its_file(
+    tmp_path: Path, bench: Bench, plans: dict[bool, SessionPlan], device: str
+) -> None:
     """An offset of an offset, a wedge, and surfaces of every shape."""
     loaded = load_device(device)
     middle = loaded.eyes["right"].eye_box.centre
@@ -219,14 +233,16 @@ def test_thickened_twice_tilted_and_behind_a_plate_any_device_survives_its_file(
         changed = CAUSES[name].perturb(changed, np.array(values), variant)
     again = replace(changed, device=load_device(str(save_device(changed.device, tmp_path / "device.toml"))))
     first, second = simulate(changed, plans[False]), simulate(again, plans[False])
+    assert first.panel_pixel is not None
     assert np.isfinite(first.panel_pixel).mean() > 0.3
+    assert first.dot_pixel is not None
     assert np.isfinite(first.dot_pixel).mean() > 0.3
-    np.testing.assert_allclose(second.panel_pixel, first.panel_pixel, atol=1e-6)
-    np.testing.assert_allclose(second.dot_pixel, first.dot_pixel, atol=1e-6)
+    np.testing.assert_allclose(present(second.panel_pixel), first.panel_pixel, atol=1e-6)
+    np.testing.assert_allclose(present(second.dot_pixel), first.dot_pixel, atol=1e-6)
 
 
 @pytest.mark.parametrize("thickness_mm", [4.0, -4.0])
-def test_an_added_plate_moves_dots_as_the_textbook_says(bench, thickness_mm):
+def test_an_added_plate_moves_dots_as_the_textbook_says(bench: Bench, thickness_mm: float) -> None:
     """t (1 - 1 / n) nearer near the axis; a negative thickness is its mirror image."""
     open_bench = replace(
         bench,
@@ -242,16 +258,16 @@ def test_an_added_plate_moves_dots_as_the_textbook_says(bench, thickness_mm):
     nearer = 1e-3 * thickness_mm * (1 - 1 / index)
     camera = bench.camera
     expected = camera.centre_px + camera.focal_px * [1, -1] * dot / (0.5 - nearer)
-    np.testing.assert_allclose(simulate(plated, plan).dot_pixel, expected, atol=3e-3)
+    np.testing.assert_allclose(present(simulate(plated, plan).dot_pixel), expected, atol=3e-3)
     tilted = CAUSES["see_through_plate"].perturb(open_bench, np.array([thickness_mm, 0.0, 10.0]))
-    moved = simulate(tilted, plan).dot_pixel - simulate(plated, plan).dot_pixel
+    moved = present(simulate(tilted, plan).dot_pixel) - present(simulate(plated, plan).dot_pixel)
     # Turned left by 10 degrees, the plate shifts the ray by t sin a (1 - cos a / sqrt(n^2 - sin^2 a)) in x.
     a = np.deg2rad(10.0)
     shift = 1e-3 * thickness_mm * np.sin(a) * (1 - np.cos(a) / np.sqrt(index**2 - np.sin(a) ** 2))
     np.testing.assert_allclose(np.abs(moved[:, 0]), abs(camera.focal_px[0] * shift / 0.5), rtol=0.1)
 
 
-def see_through_at_middle(dot):
+def see_through_at_middle(dot: NDArray[Any]) -> SessionPlan:
     count = len(dot)
     zeros = np.zeros(count)
     whole = zeros.astype(int)
@@ -259,7 +275,9 @@ def see_through_at_middle(dot):
 
 
 @pytest.mark.parametrize("error", ASSEMBLY_ERRORS, ids=lambda error: error.name)
-def test_the_fit_of_a_prescription_moves_the_same_parts_by_the_same_plausible_sizes(bench, error):
+def test_the_fit_of_a_prescription_moves_the_same_parts_by_the_same_plausible_sizes(
+    bench: Bench, error: AssemblyError
+) -> None:
     names = {"panel_shift": ("panel_shift", "panel_axial_shift")}.get(error.name, (error.name,))
     sizes = [parameter.prior_sigma for name in names for parameter in CAUSES[name].parameters]
     np.testing.assert_array_equal(sizes, error.plausible_size)

@@ -2,25 +2,29 @@
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from browser import needs_browser, open_page
+from present import present
 
 from wlr_render.diagnosis import diagnosis_plots as plots
-from wlr_render.diagnosis.report import diagnosis_report
+from wlr_render.diagnosis.report import Diagnosis, diagnosis_report
 from wlr_render.diagnosis.residual_views import part_views
-from wlr_render.report.blocks import Plot, Section, Text
+from wlr_render.report.blocks import Plot, Report, Section, Text
 from wlr_render.report.save import save_report
 
 
 @pytest.fixture(scope="module")
-def report(explained):
+def report(explained: Diagnosis) -> Report:
     return diagnosis_report(explained)
 
 
-def test_notebooks_show_the_verdict_the_advice_and_the_causes(explained):
+def test_notebooks_show_the_verdict_the_advice_and_the_causes(explained: Diagnosis) -> None:
     fragment = explained._repr_html_()
     for words in ("Diagnosis of small (northstar, right eye)", "Explained: combiner tilted", "[target] scale = [1.00"):
         assert words in fragment
@@ -31,11 +35,11 @@ def test_notebooks_show_the_verdict_the_advice_and_the_causes(explained):
     assert "Diagnosis of &lt;img src=x&gt;" in hostile
 
 
-def titles(report, kind):
+def titles(report: Report, kind: Callable[..., Any]) -> list[Any]:
     return [block.title for block in report.blocks if isinstance(block, kind)]
 
 
-def test_the_report_has_the_verdict_the_values_to_type_and_the_evidence(report, explained):
+def test_the_report_has_the_verdict_the_values_to_type_and_the_evidence(report: Report, explained: Diagnosis) -> None:
     assert report.title == "Diagnosis of small (northstar, right eye)"
     assert report.verdict.startswith("Explained: combiner tilted")
     assert any("[target] scale = [1.00" in each for each in report.advice)
@@ -63,7 +67,7 @@ def test_the_report_has_the_verdict_the_values_to_type_and_the_evidence(report, 
     assert set(explained.reasons) <= set(items)
 
 
-def test_the_files_hold_the_record(report, explained, tmp_path):
+def test_the_files_hold_the_record(report: Report, explained: Diagnosis, tmp_path: Path) -> None:
     saved = save_report(report, tmp_path, "diagnosis")
     assert [path.name for path in saved.files] == ["diagnosis.html", "diagnosis.md", "diagnosis.json"]
     record = json.loads((tmp_path / "diagnosis.json").read_text())
@@ -99,14 +103,14 @@ def test_the_files_hold_the_record(report, explained, tmp_path):
     assert len(page) < 8e6
 
 
-def test_a_diagnosis_without_causes_has_limits_and_one_state(nothing):
+def test_a_diagnosis_without_causes_has_limits_and_one_state(nothing: Diagnosis) -> None:
     report = diagnosis_report(nothing)
     assert "Detection limits" in [table.title for table in report.tables]
     assert "Correlations between the values found" not in titles(report, Plot)
     assert all(len(part.seen) == 1 for part in part_views(nothing))
 
 
-def test_a_run_time_session_is_drawn(late):
+def test_a_run_time_session_is_drawn(late: Diagnosis) -> None:
     (part,) = part_views(late)
     rate = next(variable for variable in part.variables if variable.name.startswith("head turns left"))
     # The dot is drawn where it was; by the time it is seen, a head turning left has carried it to the left.
@@ -122,7 +126,7 @@ def test_a_run_time_session_is_drawn(late):
     assert "[clock] latency_s = 0.01" in " ".join(items)
 
 
-def test_parts_hold_the_residuals_that_count_in_their_units(explained):
+def test_parts_hold_the_residuals_that_count_in_their_units(explained: Diagnosis) -> None:
     display, see_through = part_views(explained)
     before, after = display.seen.values()
     assert np.sqrt(np.nanmean(display.on_map["bench as described"] ** 2)) == pytest.approx(
@@ -130,20 +134,21 @@ def test_parts_hold_the_residuals_that_count_in_their_units(explained):
     )
     assert np.sqrt(np.nanmean(after**2)) == pytest.approx(display.sigma_arcmin, rel=0.05)
     own = explained.observations.session.plan.display
+    assert own is not None
     assert np.isnan(before[own.capture == 3]).all()
     assert np.isfinite(before[own.capture != 3]).all()
     assert not any("capture 3 " in title for title in display.maps)
     assert [title.split(" at")[0] for title in see_through.maps] == ["target pose 0", "target pose 1"]
 
 
-def test_maps_show_single_captures_from_places_far_apart(explained):
+def test_maps_show_single_captures_from_places_far_apart(explained: Diagnosis) -> None:
     display, plan = part_views(explained)[0], explained.observations.session.plan.display
-    places = [np.unique(plan.stage[rows], axis=0) for rows in display.maps.values()]
+    places = [np.unique(present(plan).stage[rows], axis=0) for rows in display.maps.values()]
     assert all(len(place) == 1 for place in places)
     assert len(np.unique(np.concatenate(places), axis=0)) == len(places)
 
 
-def test_maps_have_a_panel_for_each_bench_and_begin_with_the_largest_residual(explained):
+def test_maps_have_a_panel_for_each_bench_and_begin_with_the_largest_residual(explained: Diagnosis) -> None:
     part = part_views(explained)[0]
     title, last = list(part.maps.items())[-1]
     size = {"bench as described": 3.0, "corrected bench": 1.0}
@@ -160,16 +165,16 @@ def test_maps_have_a_panel_for_each_bench_and_begin_with_the_largest_residual(ex
     assert after > 0.0  # the axis points down
 
 
-def test_a_radial_residual_is_outwards_everywhere(explained):
+def test_a_radial_residual_is_outwards_everywhere(explained: Diagnosis) -> None:
     see_through = part_views(explained)[1]
     radius = next(variable for variable in see_through.variables if variable.name.startswith("radius on camera"))
-    seen = 0.001 * radius.values[:, None] * radius.outwards
+    seen = 0.001 * radius.values[:, None] * present(radius.outwards)
     found = plots.binned(radius, seen, see_through)
     np.testing.assert_allclose(found.means[0], 1e-3 * found.middle)
     np.testing.assert_allclose(found.means[1], 0.0, atol=1e-12)
 
 
-def test_curves_show_what_averages_out_and_nothing_where_there_is_noise_alone(explained):
+def test_curves_show_what_averages_out_and_nothing_where_there_is_noise_alone(explained: Diagnosis) -> None:
     part = part_views(explained)[0]
     part = replace(part, motion=0.0 * part.motion)
     rng, sigma = np.random.default_rng(4), part.sigma_arcmin
@@ -182,14 +187,14 @@ def test_curves_show_what_averages_out_and_nothing_where_there_is_noise_alone(ex
         assert np.abs(found.means[1]).max() < 4 * sigma / np.sqrt(len(noise) / len(found.middle))
 
 
-def test_the_histogram_shows_noise_that_sigma_does_not_cover(explained):
+def test_the_histogram_shows_noise_that_sigma_does_not_cover(explained: Diagnosis) -> None:
     wide = replace(explained, fit=replace(explained.fit, residual=2.0 * explained.fit.residual))
     for diagnosis, slope in ((explained, 1.0), (wide, 2.0)):
         quantiles = plots.normality_plot(diagnosis).data[2]
         assert np.polyfit(quantiles["x"], quantiles["y"], 1)[0] == pytest.approx(slope, rel=0.05)
 
 
-def test_correlations_are_those_of_the_values(explained):
+def test_correlations_are_those_of_the_values(explained: Diagnosis) -> None:
     plot = plots.correlations_plot(explained)
     matrix = np.array(plot.data[0]["z"])
     assert plot.data[0]["x"] == explained.correlations.names
@@ -199,7 +204,7 @@ def test_correlations_are_those_of_the_values(explained):
     assert np.linalg.cond(matrix) == pytest.approx(explained.correlations.condition, rel=1e-6)
 
 
-def test_curves_have_one_scale_and_a_plot_for_each_variable(explained):
+def test_curves_have_one_scale_and_a_plot_for_each_variable(explained: Diagnosis) -> None:
     part = part_views(explained)[0]
     layout = plots.residual_curves(part).layout
     axes = [name for name in layout if name.startswith("yaxis")]
@@ -208,7 +213,7 @@ def test_curves_have_one_scale_and_a_plot_for_each_variable(explained):
     assert layout["xaxis"]["title"]["text"] == part.variables[0].name
 
 
-def test_an_effect_is_drawn_by_its_components_and_coordinates(located):
+def test_an_effect_is_drawn_by_its_components_and_coordinates(located: Diagnosis) -> None:
     """Arrows over pixels, colours where a component has no direction in the plane, curves over one coordinate."""
     effect, rng = located.effects[0], np.random.default_rng(3)
     place, one, pose = rng.normal(size=(40, 2)), rng.normal(size=(40, 1)), rng.normal(size=(40, 6))
@@ -220,13 +225,17 @@ def test_an_effect_is_drawn_by_its_components_and_coordinates(located):
     ):
         plot = plots.effect_map(replace(effect, coordinates=coordinates, map_place=at, map_displacement=moved))
         assert [trace["type"] for trace in plot.data] == traces
-    on_target = {"coordinates": "place on the target", "map_place": place, "map_displacement": pose[:, :3]}
+    on_target: dict[str, Any] = {
+        "coordinates": "place on the target",
+        "map_place": place,
+        "map_displacement": pose[:, :3],
+    }
     colours = plots.effect_map(replace(effect, **on_target)).data[0]["marker"]["color"]
     np.testing.assert_allclose(colours, np.linalg.norm(pose[:, :3], axis=1))
 
 
 @needs_browser
-def test_the_map_of_a_located_effect_is_drawn_in_a_browser(located, tmp_path):
+def test_the_map_of_a_located_effect_is_drawn_in_a_browser(located: Diagnosis, tmp_path: Path) -> None:
     report = diagnosis_report(located)
     page = open_page(save_report(report, tmp_path, "diagnosis").files[0], tmp_path)
     assert (page.console, page.plots) == ([], len(titles(report, Plot)))

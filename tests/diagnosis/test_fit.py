@@ -1,15 +1,23 @@
 """Fits: what was injected comes back, also from far away; and the error bars say how well."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from diagnosis.small_session import SIGMA_PX, explanation, fitted_at_rest, measured, with_noise
+from numpy.typing import ArrayLike, NDArray
+from present import present
 
+from wlr_render.bench.bench import Bench
+from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
 
 # Forms and moments cannot be drawn at a share of their prior sigma; and from where a fit of them sets out.
 VALUES = {
@@ -26,8 +34,9 @@ STARTS = {
 DRAWS = 12
 
 
-def drawn_by_prior(found, true):
+def drawn_by_prior(found: Fit | None, true: Sequence[float]) -> FloatArray:
     """By how much the prior draws the free values of a fit without noise; moments have no mean."""
+    assert found is not None
     parameters = found.explanation.parameters()
     mean = np.array([p.starts[0] if p.role is Role.SHAPE else p.prior_mean for p in parameters])
     prior_sigma = np.array([p.prior_sigma for p in parameters])
@@ -37,20 +46,21 @@ def drawn_by_prior(found, true):
     return drawn
 
 
-def assert_came_back(found, true):
+def assert_came_back(found: Fit | None, true: ArrayLike) -> None:
     """The posterior mean: the truth, drawn by the prior, by less than one standard error."""
+    assert found is not None
     drawn, sigmas = drawn_by_prior(found, true), found.sigmas()
-    np.testing.assert_array_less(np.abs(found.explanation.vector() - true + drawn), 0.03 * sigmas + 1e-9)
+    np.testing.assert_array_less(np.abs(found.explanation.vector() - present(true) + drawn), 0.03 * sigmas + 1e-9)
     np.testing.assert_array_less(np.abs(drawn)[found.at.free], sigmas[found.at.free])
 
 
-def injected(cause):
+def injected(cause: Cause) -> NDArray[Any]:
     sizes = [0.8 * p.prior_sigma * (-1) ** number for number, p in enumerate(cause.parameters)]
     return np.array(VALUES.get(cause.name, sizes))
 
 
 @pytest.mark.parametrize("cause", CAUSES.values(), ids=CAUSES)
-def test_what_was_injected_comes_back(bench, plan, run_time, cause):
+def test_what_was_injected_comes_back(bench: Bench, plan: SessionPlan, run_time: SessionPlan, cause: Cause) -> None:
     """Without noise: from nothing, through whatever is not linear on the way, to where the prior draws the truth."""
     session, true = run_time if cause.part in ("eye tracking", "clock") else plan, injected(cause)
     observations = measured(bench, session, **{cause.name: true})
@@ -59,13 +69,13 @@ def test_what_was_injected_comes_back(bench, plan, run_time, cause):
     assert_came_back(found, true)
 
 
-def test_a_combiner_tilted_by_a_degree_about_each_axis_comes_back(bench, plan):
+def test_a_combiner_tilted_by_a_degree_about_each_axis_comes_back(bench: Bench, plan: SessionPlan) -> None:
     true = [1.0, -1.0, 1.0]
     found = fitted_at_rest(measured(bench, plan, combiner_tilt=true), explanation(combiner_tilt=[0.0, 0.0, 0.0]))
     assert_came_back(found, true)
 
 
-def test_where_readings_tell_little_the_prior_draws_as_in_linear_regression(bench, plan):
+def test_where_readings_tell_little_the_prior_draws_as_in_linear_regression(bench: Bench, plan: SessionPlan) -> None:
     """Ten readings of a turned panel: the posterior mean lies between the truth and nothing."""
     true = [1.0, -1.0, 1.0]
     observations = measured(bench, plan, panel_rotation=true)
@@ -73,28 +83,30 @@ def test_where_readings_tell_little_the_prior_draws_as_in_linear_regression(benc
     # From beyond the truth, so that the first step must know of the prior.
     found = fitted_at_rest(observations, explanation(panel_rotation=[3.0, -3.0, 3.0]))
     drawn = drawn_by_prior(found, true)
+    assert found is not None
     assert np.max(np.abs(drawn) / found.sigmas()) > 0.3
     np.testing.assert_array_less(np.abs(found.explanation.vector() - true + drawn), 0.05 * found.sigmas())
 
 
-def test_three_causes_at_once_come_back(bench, plan):
-    true = explanation(panel_shift=[0.4, -0.6], stage_scale=[1.0, -0.5, 0.7], target_scale=[0.3, 0.2])
+def test_three_causes_at_once_come_back(bench: Bench, plan: SessionPlan) -> None:
+    true: dict[str, Any] = explanation(panel_shift=[0.4, -0.6], stage_scale=[1.0, -0.5, 0.7], target_scale=[0.3, 0.2])
     observations = measured(bench, plan, **dict(zip(true.names, true.values, strict=True)))
     found = fitted_at_rest(observations, true.at(np.zeros(7)))
-    assert found.explanation.names == true.names
+    assert present(found).explanation.names == true.names
     assert_came_back(found, true.vector())
 
 
-def test_error_bars_are_honest(bench, plan):
+def test_error_bars_are_honest(bench: Bench, plan: SessionPlan) -> None:
     """Over draws of the noise, (estimate - truth) weighted by the stated covariance is chi-squared distributed."""
     names = ("combiner_tilt", "target_scale", "thermal_drift")
-    truth = explanation(**{name: injected(CAUSES[name]) for name in names})
+    truth: dict[str, Any] = explanation(**{name: injected(CAUSES[name]) for name in names})
     exact = measured(bench, plan, **dict(zip(truth.names, truth.values, strict=True)))
     exact = exact.of_rows(exact.spread(240))
     prior_sigma = np.array([parameter.prior_sigma for parameter in truth.parameters()])
     total, within = 0.0, []
     for seed in range(DRAWS):
         found = fitted_at_rest(with_noise(exact, SIGMA_PX, np.random.default_rng(seed)), truth)
+        assert found is not None
         off = (found.explanation.vector() - truth.vector()) / prior_sigma
         total += off @ np.linalg.solve(found.covariance, off)
         within.append(np.abs(found.explanation.vector() - truth.vector()) < found.sigmas())
@@ -103,42 +115,49 @@ def test_error_bars_are_honest(bench, plan):
     assert abs(np.mean(within) - 0.683) < 3 * np.sqrt(0.683 * 0.317 / DRAWS)
 
 
-def test_twice_the_noise_makes_error_bars_twice_as_wide(bench, plan):
+def test_twice_the_noise_makes_error_bars_twice_as_wide(bench: Bench, plan: SessionPlan) -> None:
     observations = measured(bench, plan, 0.1, panel_shift=[0.3, 0.3])
     one = fitted_at_rest(observations, explanation(panel_shift=[0.0, 0.0]))
     two = fitted_at_rest(observations.with_sigma(2 * observations.sigma_px), explanation(panel_shift=[0.0, 0.0]))
-    np.testing.assert_allclose(two.explanation.vector(), one.explanation.vector(), atol=1e-3 * one.sigmas().min())
+    assert two is not None
+    assert one is not None
+    np.testing.assert_allclose(
+        two.explanation.vector(), one.explanation.vector(), atol=1e-3 * present(one).sigmas().min()
+    )
     np.testing.assert_allclose(two.sigmas(), 2 * one.sigmas(), rtol=1e-4)
     assert two.chi_squared == pytest.approx(one.chi_squared / 4, rel=1e-6)
 
 
-def test_nothing_to_fit_leaves_the_residual(bench, plan):
+def test_nothing_to_fit_leaves_the_residual(bench: Bench, plan: SessionPlan) -> None:
     observations = measured(bench, plan, SIGMA_PX, seed=4)
     found = fitted_at_rest(observations, Explanation())
     degrees = 2 * len(observations)
+    assert found is not None
     assert abs(found.chi_squared - degrees) < 4 * np.sqrt(2 * degrees)
     assert found.covariance.shape == (0, 0)
     assert len(found.sigmas()) == 0
 
 
-def test_a_cause_that_the_session_cannot_see_stays_where_it_is(bench, plan):
+def test_a_cause_that_the_session_cannot_see_stays_where_it_is(bench: Bench, plan: SessionPlan) -> None:
     found = fitted_at_rest(measured(bench, plan, SIGMA_PX), explanation(latency=[3.0], target_scale=[0.0, 0.0]))
+    assert found is not None
     assert found.explanation.values[0] == 3.0
     assert found.sigmas()[0] == 0.0
     assert np.all(found.sigmas()[1:] > 0)
 
 
-def test_no_iterations_only_look(bench, plan):
+def test_no_iterations_only_look(bench: Bench, plan: SessionPlan) -> None:
     observations = measured(bench, plan, panel_shift=[0.3, 0.3])
     found = fitted_at_rest(observations, explanation(panel_shift=[0.1, 0.0]), iterations=0)
+    assert found is not None
     np.testing.assert_array_equal(found.explanation.vector(), [0.1, 0.0])
     assert np.all(found.sigmas() > 0)
 
 
-def test_a_step_that_no_headset_can_take_is_a_shorter_one(bench, plan):
+def test_a_step_that_no_headset_can_take_is_a_shorter_one(bench: Bench, plan: SessionPlan) -> None:
     """The function of a cause refuses what is beyond 0.2; the truth is 0.5."""
 
-    def refusing(old, px):
+    def refusing(old: Bench, px: FloatArray) -> Bench:
         if abs(px[0]) > 0.2:
             raise BadInputError("device: the panel is not seen from most of the eye box")
         return replace(old, readout=replace(old.readout, origin_px=old.readout.origin_px + px))
@@ -146,7 +165,7 @@ def test_a_step_that_no_headset_can_take_is_a_shorter_one(bench, plan):
     cause = Cause("origin", "origin", "device", (Parameter("u", "px", 0.5),), "s", "m", {"v": refusing})
     observations = measured(bench, plan, pixel_origin=[0.5, 0.0])
     observations = observations.of_rows(observations.spread(300))
-    (value,) = fitted_at_rest(observations, Explanation().plus(Hypothesis(cause, "v"))).explanation.values
+    (value,) = present(fitted_at_rest(observations, Explanation().plus(Hypothesis(cause, "v")))).explanation.values
     assert 0.0 < value[0] <= 0.2
     beyond = Explanation().plus(Hypothesis(cause, "v"), np.array([0.3]))
     assert fitted_at_rest(observations, beyond) is None

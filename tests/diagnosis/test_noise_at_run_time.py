@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 from diagnosis.small_session import SIGMA_PX, diagnosed, measured, with_noise, with_readings
+from present import present
 
+from wlr_render.bench.bench import Bench
+from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.diagnosis import NO_EFFECT, UNEXPLAINED
 
 CAUSES = ("latency", "eye_position_bias")
@@ -11,7 +14,7 @@ LARGER = 2.0
 
 
 @pytest.mark.slow
-def test_noise_of_another_size_is_measured_and_said_first(bench, run_time):
+def test_noise_of_another_size_is_measured_and_said_first(bench: Bench, run_time: SessionPlan) -> None:
     observations = measured(bench, run_time, SIGMA_PX, seed=3)
     noisier = with_noise(observations, SIGMA_PX * np.sqrt(LARGER**2 - 1.0), np.random.default_rng(4))
     said = diagnosed(noisier, CAUSES)
@@ -24,13 +27,13 @@ def test_noise_of_another_size_is_measured_and_said_first(bench, run_time):
 
 
 @pytest.mark.slow
-def test_what_is_alike_at_a_station_is_no_noise(bench, run_time):
+def test_what_is_alike_at_a_station_is_no_noise(bench: Bench, run_time: SessionPlan) -> None:
     """The picture jumps by steps of the gaze that are too fine for a field."""
     plan = run_time.run_time
-    cells = np.floor(plan.gaze[:, 0] / 0.01).astype(int)
+    cells = np.floor(present(plan).gaze[:, 0] / 0.01).astype(int)
     steps = np.random.default_rng(5).normal(0.0, 3.0 * SIGMA_PX, (200, 2))[cells - cells.min()]
     observations = measured(bench, run_time, SIGMA_PX, seed=3)
-    pixel = observations.session.readings.run_time_pixel.copy()
+    pixel = present(observations.session.readings.run_time_pixel).copy()
     pixel[:, :2] += steps
     said = diagnosed(with_readings(observations, run_time_pixel=pixel), CAUSES)
     assert said.verdict == UNEXPLAINED
@@ -38,7 +41,9 @@ def test_what_is_alike_at_a_station_is_no_noise(bench, run_time):
 
 
 @pytest.mark.slow
-def test_noise_is_not_measured_where_a_fit_cannot_find_it_or_where_readings_are_few(bench, run_time):
+def test_noise_is_not_measured_where_a_fit_cannot_find_it_or_where_readings_are_few(
+    bench: Bench, run_time: SessionPlan
+) -> None:
     """A fit takes no noise for smaller than stated; and a few readings do not tell noise from an effect."""
     quiet = measured(bench, run_time, 0.5 * SIGMA_PX, seed=3)
     noisy = measured(bench, run_time, LARGER * SIGMA_PX, seed=3)

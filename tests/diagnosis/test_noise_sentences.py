@@ -1,6 +1,7 @@
 """How a bench's repeatability and noise are put into words."""
 
 from types import SimpleNamespace
+from typing import Any
 
 from wlr_render.diagnosis.diagnosis import MotionSize
 from wlr_render.diagnosis.noise import NoiseFloor
@@ -9,15 +10,15 @@ from wlr_render.diagnosis.verdict_sentences import bench_sentence
 NAN = float("nan")
 
 
-def floor(part, measured=0.108, error=0.001, **shape):
+def floor(part: str, measured: float = 0.108, error: float = 0.001, **shape: Any) -> NoiseFloor:
     return NoiseFloor(part, 0.1, measured, NAN, measured, error, measured, measured < 0.105, **shape)
 
 
-def sentence(floors, motions=()):
+def sentence(floors: tuple[Any, ...], motions: tuple[MotionSize, ...] = ()) -> str:
     return bench_sentence(SimpleNamespace(noise_floors=floors, motions=motions, verdict="explained"))
 
 
-def test_each_part_has_a_sentence_with_its_repeatability_and_the_shape_of_its_noise():
+def test_each_part_has_a_sentence_with_its_repeatability_and_the_shape_of_its_noise() -> None:
     rising = {"rim_factor": 1.9, "photographs_differ": 0.405, "shared": 0.52, "shared_reach_px": 61.0}
     floors = (floor("display", 0.1013, **rising), floor("see-through", rim_factor=0.7, shared=0.3, shared_reach_px=9.0))
     motions = (MotionSize("display", 9.0, 0.97, 25.0, 3.0), MotionSize("see-through", 15.2, 2.0, 23.0, 4.0))
@@ -31,7 +32,7 @@ def test_each_part_has_a_sentence_with_its_repeatability_and_the_shape_of_its_no
     )
 
 
-def test_sizes_that_are_not_known_are_not_stated():
+def test_sizes_that_are_not_known_are_not_stated() -> None:
     """A size within its own error has an upper limit: twice its relative error above it, as logarithms."""
     text = sentence((floor("display", NAN, NAN),), (MotionSize("display", 1.0, 0.9, 25.0, 3.0),))
     assert "positions repeat to better than 6 um" in text

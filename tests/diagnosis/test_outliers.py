@@ -1,12 +1,18 @@
 """Captures that moved are found by name and amount, and nothing else is taken for one."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from diagnosis.small_session import SIGMA_PX, explanation, hypothesis, measured, weighed, with_motions
+from present import present
 
+from wlr_render.bench.bench import Bench
+from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause_selection import Search
+from wlr_render.diagnosis.diagnosis import MovedCapture
 from wlr_render.diagnosis.findings import moved_captures, not_excluded
-from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, CaptureName
+from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, CaptureName, Observations
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.numerics.scatter import Scatter
 
@@ -14,7 +20,13 @@ STILL = (0.0, 0.0, 0.0)
 NEAR, FAR = CaptureName(SEE_THROUGH, 0, 3), CaptureName(SEE_THROUGH, 1, 5)
 
 
-def with_moved(observations, bench, captures, shift_mm, turn_deg=(0.0, 0.0, 0.0)):
+def with_moved(
+    observations: Observations,
+    bench: Bench,
+    captures: Sequence[CaptureName],
+    shift_mm: tuple[float, float, float],
+    turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Observations:
     """The same readings, some captures of which a camera took that stands elsewhere."""
     motions = np.zeros((len(observations.captures), 6))
     rows = [observations.captures.index(name) for name in captures]
@@ -22,7 +34,7 @@ def with_moved(observations, bench, captures, shift_mm, turn_deg=(0.0, 0.0, 0.0)
     return with_motions(observations, bench, motions)
 
 
-def found_in(observations, start=Explanation()):  # noqa: B008
+def found_in(observations: Observations, start: Explanation = Explanation()) -> list[MovedCapture]:  # noqa: B008
     """As the selection of causes finds them, without a further cause."""
     search = Search(weighed(observations), weighed(observations), ())
     return moved_captures(search.full, search.refitted(start, Scatter.usual(len(observations.captures))))
@@ -32,7 +44,9 @@ def found_in(observations, start=Explanation()):  # noqa: B008
     ("shift_mm", "turn_deg"),
     [((0.5, 0.0, 0.0), STILL), ((0.0, 0.5, 0.0), STILL), ((0.0, 0.0, 0.5), STILL), (STILL, (0.2, -0.1, 0.3))],
 )
-def test_a_photograph_of_the_panel_that_moved_is_found_with_its_shift_and_turn(bench, plan, shift_mm, turn_deg):
+def test_a_photograph_of_the_panel_that_moved_is_found_with_its_shift_and_turn(
+    bench: Bench, plan: SessionPlan, shift_mm: tuple[float, float, float], turn_deg: tuple[float, float, float]
+) -> None:
     name = CaptureName(DISPLAY, -1, 6)
     (found,) = found_in(with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, [name], shift_mm, turn_deg))
     assert found.capture == name
@@ -43,7 +57,7 @@ def test_a_photograph_of_the_panel_that_moved_is_found_with_its_shift_and_turn(b
 
 
 @pytest.mark.parametrize("name", [NEAR, FAR])
-def test_a_photograph_of_a_target_is_found(bench, plan, name):
+def test_a_photograph_of_a_target_is_found(bench: Bench, plan: SessionPlan, name: CaptureName) -> None:
     """How far it moved, one plane of dots does not tell well: a shift looks like a turn."""
     moved = with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, [name], (0.5, 0.3, 0.0))
     (found,) = found_in(moved)
@@ -52,7 +66,7 @@ def test_a_photograph_of_a_target_is_found(bench, plan, name):
     assert found.rms_after == pytest.approx(1.0, abs=0.15)
 
 
-def test_two_that_moved_are_found_on_top_of_a_cause(bench, plan):
+def test_two_that_moved_are_found_on_top_of_a_cause(bench: Bench, plan: SessionPlan) -> None:
     observations = measured(bench, plan, SIGMA_PX, seed=3, combiner_tilt=[0.5, -0.5, 0.5])
     names = [CaptureName(DISPLAY, -1, 2), NEAR]
     observations = with_moved(observations, bench, names, (0.7, 0.0, 0.0))
@@ -62,7 +76,7 @@ def test_two_that_moved_are_found_on_top_of_a_cause(bench, plan):
     np.testing.assert_allclose(found.explanation.vector(), [0.5, -0.5, 0.5], atol=0.01)
 
 
-def test_readings_of_outliers_are_not_not_excluded(bench, plan):
+def test_readings_of_outliers_are_not_not_excluded(bench: Bench, plan: SessionPlan) -> None:
     observations = with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, [NEAR], (0.5, 0.0, 0.0))
     excluded = ~not_excluded(observations, found_in(observations))
     np.testing.assert_array_equal(excluded, observations.group == observations.captures.index(NEAR))
@@ -70,29 +84,29 @@ def test_readings_of_outliers_are_not_not_excluded(bench, plan):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_nothing_moved_in_a_clean_session(bench, plan, seed):
+def test_nothing_moved_in_a_clean_session(bench: Bench, plan: SessionPlan, seed: int) -> None:
     assert found_in(measured(bench, plan, SIGMA_PX, seed=seed)) == []
 
 
-def test_a_cause_that_moves_every_photograph_sets_none_aside(bench, plan):
+def test_a_cause_that_moves_every_photograph_sets_none_aside(bench: Bench, plan: SessionPlan) -> None:
     for causes in ({"camera_rotation": [0.3, 0.3, 0.3]}, {"stage_scale": [1.0, 1.0, 1.0]}):
         assert found_in(measured(bench, plan, SIGMA_PX, **causes)) == []
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])
-def test_several_captures_that_moved_alike_do_not_hide_each_other(bench, plan, count):
+def test_several_captures_that_moved_alike_do_not_hide_each_other(bench: Bench, plan: SessionPlan, count: int) -> None:
     names = [CaptureName(DISPLAY, -1, number) for number in range(count)]
     found = found_in(with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, names, (0.5, 0.0, 0.0)))
     assert [each.capture for each in found] == names
 
 
-def test_recordings_at_run_time_have_no_camera_to_move(bench, run_time):
+def test_recordings_at_run_time_have_no_camera_to_move(bench: Bench, run_time: SessionPlan) -> None:
     observations = measured(bench, run_time, SIGMA_PX)
-    observations.session.readings.run_time_pixel[observations.group == 2] += [9.0, 0.0, 0.0, 0.0]
+    present(observations.session.readings.run_time_pixel)[observations.group == 2] += [9.0, 0.0, 0.0, 0.0]
     assert found_in(observations) == []
 
 
-def test_the_fit_keeps_its_own_camera_causes(bench, plan):
+def test_the_fit_keeps_its_own_camera_causes(bench: Bench, plan: SessionPlan) -> None:
     """Where the camera's offset is fitted already, what a single capture has beyond it is told."""
     observations = measured(bench, plan, SIGMA_PX, seed=2, camera_pupil_offset=[1.0, -1.0, 0.5])
     name = CaptureName(DISPLAY, -1, 6)

@@ -1,19 +1,23 @@
 """Extensions of a bench: their order, their fast prediction against the plain one, and their Jacobian."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from diagnosis.small_session import explanation, hypothesis, measured
+from present import present
 
+from wlr_render.bench.bench import Bench
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, Observations
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation, Predictor
 from wlr_render.diagnosis.weighed_readings import camera_motions
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
 
 # One of every kind of change: of all surfaces, of media, of the panel, of the camera, of the target, of the readout.
 CHAIN = (
@@ -38,7 +42,7 @@ POINTS = {
 }
 
 
-def plain_jacobian(observations, at, share=2e-3):
+def plain_jacobian(observations: Observations, at: Linearisation, share: float = 2e-3) -> FloatArray:
     """By central differences of the plain simulation, per prior sigma."""
     plan, columns = observations.session.plan, []
     for number in at.free:
@@ -52,7 +56,7 @@ def plain_jacobian(observations, at, share=2e-3):
     return np.stack(columns, axis=-1)
 
 
-def test_causes_act_in_their_order(bench):
+def test_causes_act_in_their_order(bench: Bench) -> None:
     both = explanation(combiner_tilt=[1.0, 0.0, 0.0], combiner_shift=[0.0, 1.0, 2.0])
     first = CAUSES["combiner_tilt"].perturb(bench, np.array([1.0, 0.0, 0.0]))
     expected = CAUSES["combiner_shift"].perturb(first, np.array([0.0, 1.0, 2.0]))
@@ -61,7 +65,7 @@ def test_causes_act_in_their_order(bench):
     assert Explanation().bench(bench) is bench
 
 
-def test_an_extension_is_its_causes_and_one_vector():
+def test_an_extension_is_its_causes_and_one_vector() -> None:
     one = Explanation().plus(hypothesis("panel_shift"), np.array([1.0, 2.0]))
     two = one.plus(hypothesis("latency"), np.array([3.0])).plus(hypothesis("stage_tilt"))
     assert two.names == ("panel_shift", "latency", "stage_tilt")
@@ -76,16 +80,22 @@ def test_an_extension_is_its_causes_and_one_vector():
     assert Explanation().at(np.zeros(0)).names == ()
 
 
-def test_the_prediction_from_any_neighbour_is_the_plain_one(bench, plan, predictor):
+def test_the_prediction_from_any_neighbour_is_the_plain_one(
+    bench: Bench, plan: SessionPlan, predictor: Predictor
+) -> None:
     state = None
     for step in CHAIN:
         state = predictor.state(step, state)
         plain = simulate(step.bench(bench), plan)
-        np.testing.assert_allclose(state.readings.panel_pixel, plain.panel_pixel, atol=1e-9, err_msg=str(step.names))
-        np.testing.assert_allclose(state.readings.dot_pixel, plain.dot_pixel, atol=1e-7, err_msg=str(step.names))
+        np.testing.assert_allclose(
+            present(state.readings.panel_pixel), present(plain.panel_pixel), atol=1e-9, err_msg=str(step.names)
+        )
+        np.testing.assert_allclose(
+            present(state.readings.dot_pixel), present(plain.dot_pixel), atol=1e-7, err_msg=str(step.names)
+        )
 
 
-def test_run_time_readings_are_predicted_plainly_too(bench, run_time):
+def test_run_time_readings_are_predicted_plainly_too(bench: Bench, run_time: SessionPlan) -> None:
     predictor = Predictor(measured(bench, run_time))
     state, tilted = None, explanation(combiner_tilt=[0.3, 0.0, 0.0])
     for step in (
@@ -100,10 +110,12 @@ def test_run_time_readings_are_predicted_plainly_too(bench, run_time):
         state = predictor.state(step, state)
         plain = simulate(step.bench(bench), run_time).run_time_pixel
         # A shift of 12 mm takes some dots off the panel; back on it, they have no warm start.
-        np.testing.assert_allclose(state.readings.run_time_pixel, plain, atol=1e-9, err_msg=str(step.names))
+        np.testing.assert_allclose(
+            present(state.readings.run_time_pixel), present(plain), atol=1e-9, err_msg=str(step.names)
+        )
 
 
-def test_a_part_that_a_cause_cannot_touch_is_not_done_again(predictor):
+def test_a_part_that_a_cause_cannot_touch_is_not_done_again(predictor: Predictor) -> None:
     rest = predictor.state(Explanation())
     shown = predictor.state(explanation(panel_shift=[0.1, 0.2]))
     assert shown.readings.dot_pixel is rest.readings.dot_pixel
@@ -114,7 +126,9 @@ def test_a_part_that_a_cause_cannot_touch_is_not_done_again(predictor):
 
 
 @pytest.mark.parametrize("name", POINTS)
-def test_the_jacobian_is_that_of_plain_central_differences(bench, plan, run_time, predictor, name):
+def test_the_jacobian_is_that_of_plain_central_differences(
+    bench: Bench, plan: SessionPlan, run_time: SessionPlan, predictor: Predictor, name: str
+) -> None:
     if CAUSES[name].part in ("eye tracking", "clock"):
         predictor = Predictor(measured(bench, run_time))
     at = predictor.linearised(explanation(**{name: POINTS[name]}))
@@ -122,7 +136,7 @@ def test_the_jacobian_is_that_of_plain_central_differences(bench, plan, run_time
     np.testing.assert_allclose(at.jacobian, expected, atol=2e-3 * np.abs(expected).max())
 
 
-def test_added_columns_are_those_of_the_whole(predictor):
+def test_added_columns_are_those_of_the_whole(predictor: Predictor) -> None:
     old = explanation(camera_rotation=[0.1, -0.1, 0.2])
     new = old.plus(hypothesis("combiner_shift"))
     whole, added = predictor.linearised(new), predictor.added(predictor.state(old), new)
@@ -133,7 +147,9 @@ def test_added_columns_are_those_of_the_whole(predictor):
 
 
 @pytest.mark.parametrize(("name", "units"), [("camera_pupil_offset", 1e-3), ("camera_rotation", np.degrees(1e-6))])
-def test_motions_of_the_camera_are_the_derivatives_by_the_causes_that_move_it(predictor, name, units):
+def test_motions_of_the_camera_are_the_derivatives_by_the_causes_that_move_it(
+    predictor: Predictor, name, units
+) -> None:
     at = predictor.signature(hypothesis(name))
     by_cause = at.jacobian / at.explanation.prior_sigma * units
     motions = (
@@ -142,14 +158,14 @@ def test_motions_of_the_camera_are_the_derivatives_by_the_causes_that_move_it(pr
     np.testing.assert_allclose(motions, by_cause, atol=1e-6 * np.abs(by_cause).max())
 
 
-def test_a_change_that_does_nothing_has_no_lever(predictor, clean):
+def test_a_change_that_does_nothing_has_no_lever(predictor: Predictor, clean: Observations) -> None:
     steps = np.array([1e-6, 1e-3])
     lever = predictor.lever(lambda bench, values: bench, steps)
     assert lever.shape == (len(clean), 2, 2)
     assert not lever.any()
 
 
-def test_what_changes_nothing_is_not_free(predictor, clean):
+def test_what_changes_nothing_is_not_free(predictor: Predictor, clean: Observations) -> None:
     """Moments never are; forms are while there is a size; causes that a session cannot see never are."""
     at = predictor.linearised
     np.testing.assert_array_equal(at(explanation(see_through_plate=[0.0, 0.0, 0.0])).free, [0])
@@ -162,7 +178,7 @@ def test_what_changes_nothing_is_not_free(predictor, clean):
     assert np.abs(shown[clean.part == DISPLAY]).max() > 1
 
 
-def test_one_part_alone_can_be_predicted(bench, plan):
+def test_one_part_alone_can_be_predicted(bench: Bench, plan: SessionPlan) -> None:
     for alone in (SessionPlan(display=plan.display), SessionPlan(see_through=plan.see_through)):
         observations = measured(bench, alone)
         at = Predictor(observations).linearised(
@@ -179,7 +195,9 @@ def test_one_part_alone_can_be_predicted(bench, plan):
         ({"target_wavelength_um": 0.65}, (False, True, True)),
     ],
 )
-def test_a_cause_of_other_colours_changes_the_readings(bench, plan, run_time, changes, touched):
+def test_a_cause_of_other_colours_changes_the_readings(
+    bench: Bench, plan: SessionPlan, run_time: SessionPlan, changes: dict[str, Any], touched: tuple[bool, bool, bool]
+) -> None:
     """A user's own cause may change any attribute of a bench."""
     whole = replace(plan, run_time=run_time.run_time)
     predictor = Predictor(measured(bench, whole))
@@ -187,7 +205,7 @@ def test_a_cause_of_other_colours_changes_the_readings(bench, plan, run_time, ch
         "leds", "LEDs", "device", (Parameter("share", "1", 1.0),), "s", "m", {"v": lambda old, v: other_colours(old, v)}
     )
 
-    def other_colours(old, share):
+    def other_colours(old: Bench, share: FloatArray) -> Bench:
         return replace(old, **{name: old_to_new(getattr(old, name), new, share[0]) for name, new in changes.items()})
 
     at = Explanation().plus(Hypothesis(cause, "v"), np.ones(1))
@@ -198,12 +216,14 @@ def test_a_cause_of_other_colours_changes_the_readings(bench, plan, run_time, ch
     assert tuple(new is not old for new, old in zip(found.parts, nominal.parts, strict=True)) == touched
 
 
-def old_to_new(old, new, share):
+def old_to_new(
+    old: float | tuple[float, float, float], new: float | tuple[float, float, float], share: float
+) -> float | tuple[float, float, float]:
     mixed = np.asarray(old) + share * np.subtract(new, old)
     return tuple(mixed.tolist()) if mixed.ndim else float(mixed)
 
 
-def test_a_headset_that_cannot_be_traced_predicts_no_reading(bench, run_time):
+def test_a_headset_that_cannot_be_traced_predicts_no_reading(bench: Bench, run_time: SessionPlan) -> None:
     """The panel is seen from nowhere; a step of a fit may well lead there."""
     predictor = Predictor(measured(bench, run_time))
     away = explanation(panel_shift=[900.0, 0.0])

@@ -1,23 +1,32 @@
 """The whole procedure on small sessions: verdicts, noise that is measured, spurious matches that are dropped."""
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from diagnosis.small_session import SIGMA_PX, diagnosed, fitted, measured, with_jitter, with_noise
 from oracle.captures import Plan
 from oracle.effects import Effect
 from oracle.session_writer import write_session
+from present import present
 
+from wlr_render.bench.bench import Bench
 from wlr_render.bench.session_folder import load_session
+from wlr_render.captures.session import DisplayPlan, Readings, SessionPlan
 from wlr_render.diagnosis import prediction
 from wlr_render.diagnosis.diagnosis import EXPLAINED, LOCATED, NO_EFFECT
 from wlr_render.diagnosis.fit import few_captures_factor
 from wlr_render.diagnosis.observations import DISPLAY
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.report import Diagnosis
 from wlr_render.diagnosis.settings import Settings
+from wlr_render.numerics.arrays import FloatArray
 
 
-def test_the_record_of_an_explained_session_holds_the_truth(explained):
+def test_the_record_of_an_explained_session_holds_the_truth(explained: Diagnosis) -> None:
     assert explained.verdict == EXPLAINED
     truth = {"combiner_tilt": [0.3, -0.2, 0.3], "target_scale": [0.3, 0.3]}
     assert {cause.name for cause in explained.causes} == set(truth)
@@ -32,7 +41,7 @@ def test_the_record_of_an_explained_session_holds_the_truth(explained):
     assert explained.reasons[-1] == "no other cause makes the readings more probable"
 
 
-def test_a_cause_is_described_with_its_own_effect(explained):
+def test_a_cause_is_described_with_its_own_effect(explained: Diagnosis) -> None:
     """Each effect is the change of the readings by that cause alone: the tilt moves the display, the print does not."""
     observations, used = explained.observations, explained.used
     sizes = {cause.name: cause.effect_over_noise for cause in explained.causes}
@@ -42,7 +51,7 @@ def test_a_cause_is_described_with_its_own_effect(explained):
     assert len(observations.captures) == len(explained.captures)
 
 
-def test_each_capture_has_its_residual(explained):
+def test_each_capture_has_its_residual(explained: Diagnosis) -> None:
     for number, capture in enumerate(explained.captures):
         own = explained.residual_after[explained.observations.group == number]
         assert capture.rms_after == pytest.approx(np.sqrt(np.mean(own**2)))
@@ -50,7 +59,7 @@ def test_each_capture_has_its_residual(explained):
         assert (capture.rms_after**2 > 5) == capture.excluded
 
 
-def test_an_effect_that_no_cause_has_is_located_and_gets_no_name(located):
+def test_an_effect_that_no_cause_has_is_located_and_gets_no_name(located: Diagnosis) -> None:
     assert (located.verdict, located.causes, located.unexplained_parts) == (LOCATED, (), ())
     first = located.effects[0]
     assert (first.station, first.coordinates, first.form) == ("panel", "panel pixels", "smooth")
@@ -63,15 +72,15 @@ def test_an_effect_that_no_cause_has_is_located_and_gets_no_name(located):
     assert all(floor.used_px == pytest.approx(2 * SIGMA_PX, rel=0.2) for floor in located.noise_floors)
 
 
-def bent(u, plan, origin):
+def bent(u: FloatArray, plan: object, origin: object) -> FloatArray:
     return 0.8 * np.sin(2 * np.pi * u / 1000)
 
 
-def magnified_red(u, plan, origin):
-    return 0.8 * (plan.channel == 0) * (u - 700) / 500
+def magnified_red(u: FloatArray, plan: DisplayPlan, origin: object) -> FloatArray:
+    return np.asarray(0.8 * (plan.channel == 0) * (u - 700) / 500)
 
 
-def swimming(u, plan, origin):
+def swimming(u: FloatArray, plan: DisplayPlan, origin: FloatArray) -> FloatArray:
     return np.sin(2 * np.pi * u / 1200) * (plan.stage - origin)[:, 0] / 4e-3
 
 
@@ -79,10 +88,12 @@ def swimming(u, plan, origin):
 @pytest.mark.parametrize(
     ("off", "displaces"), [(bent, "shift"), (magnified_red, "shift"), (swimming, "shift by viewpoint")]
 )
-def test_the_corrected_bench_has_the_effect_and_a_diagnosis_of_it_finds_nothing(bench, plan, tmp_path, off, displaces):
+def test_the_corrected_bench_has_the_effect_and_a_diagnosis_of_it_finds_nothing(
+    bench: Bench, plan: SessionPlan, tmp_path: Path, off: Callable[..., Any], displaces: str
+) -> None:
     observations = measured(bench, plan, SIGMA_PX, seed=17)
     read = observations.session.readings
-    read.panel_pixel[:, 0] += off(read.panel_pixel[:, 0].copy(), plan.display, bench.stage.origin)
+    present(read.panel_pixel)[:, 0] += off(present(read.panel_pixel)[:, 0].copy(), plan.display, bench.stage.origin)
     said = diagnosed(observations, ("target_scale",))
     assert said.is_corrected
     assert said.after.over_noise < 1.1 < said.before.over_noise
@@ -94,7 +105,7 @@ def test_the_corrected_bench_has_the_effect_and_a_diagnosis_of_it_finds_nothing(
 
 
 @pytest.mark.slow
-def test_what_stripes_do_is_not_called_noise(tmp_path):
+def test_what_stripes_do_is_not_called_noise(tmp_path: Path) -> None:
     """Stripes are finer than the spacing of the readings in a photograph, where they look like noise."""
     stripes, plan = Effect("code_stripes", {"bias_px": 1.1, "period_px": 41.9}), Plan(grid=(12, 9), dots=(5, 4))
     write_session(tmp_path, plan, [stripes], np.random.default_rng(5))
@@ -104,22 +115,24 @@ def test_what_stripes_do_is_not_called_noise(tmp_path):
     assert floor.used_px == pytest.approx(floor.stated_px, rel=0.1)
 
 
-def test_a_clean_session_has_detection_limits(nothing):
+def test_a_clean_session_has_detection_limits(nothing: Diagnosis) -> None:
     assert (nothing.verdict, nothing.causes, nothing.effects, nothing.unexplained_parts) == (NO_EFFECT, (), (), ())
     assert {limit.cause for limit in nothing.detection_limits} == {"target_scale", "combiner_tilt"}
 
 
 @pytest.mark.parametrize("larger", [1.06, 1.1, 1.2])
-def test_clean_sessions_with_more_noise_than_stated_are_not_unexplained(bench, plan, larger):
+def test_clean_sessions_with_more_noise_than_stated_are_not_unexplained(
+    bench: Bench, plan: SessionPlan, larger: float
+) -> None:
     found = diagnosed(measured(bench, plan, larger * SIGMA_PX, seed=31), ("target_scale", "stage_scale"))
     assert found.verdict == NO_EFFECT
 
 
-def test_the_nominal_bench_is_simulated_once(bench, plan, monkeypatch):
+def test_the_nominal_bench_is_simulated_once(bench: Bench, plan: SessionPlan, monkeypatch: pytest.MonkeyPatch) -> None:
     observations, count = measured(bench, plan, SIGMA_PX, seed=32), []
     simulate = prediction.simulate
 
-    def counted(which, what, *others):
+    def counted(which, what, *others: object) -> Readings:
         if which is bench and what.display is not None:
             count.append(which)
         return simulate(which, what, *others)
@@ -130,7 +143,7 @@ def test_the_nominal_bench_is_simulated_once(bench, plan, monkeypatch):
 
 
 @pytest.mark.slow
-def test_errors_cover_where_the_camera_repeats_to_ten_micrometres(bench, plan):
+def test_errors_cover_where_the_camera_repeats_to_ten_micrometres(bench: Bench, plan: SessionPlan) -> None:
     """Motions have the tails of Student's t; by independent readings 33 % of the intervals held the truth."""
     true = [0.5, -0.4, 0.3]
     clean, inside = measured(bench, plan, stage_scale=true), []
@@ -144,7 +157,7 @@ def test_errors_cover_where_the_camera_repeats_to_ten_micrometres(bench, plan):
 
 
 @pytest.mark.slow
-def test_a_stage_that_repeats_to_ten_micrometres_is_no_effect_and_is_told(bench, plan):
+def test_a_stage_that_repeats_to_ten_micrometres_is_no_effect_and_is_told(bench: Bench, plan: SessionPlan) -> None:
     clean = measured(bench, plan)
     for seed in range(2):
         rng = np.random.default_rng(seed)
@@ -156,12 +169,12 @@ def test_a_stage_that_repeats_to_ten_micrometres_is_no_effect_and_is_told(bench,
         assert abs(display.shift_um - 10.0) < 3.5 * display.shift_error_um
 
 
-def test_where_more_than_noise_is_left_the_error_bars_are_wider(bench, plan):
+def test_where_more_than_noise_is_left_the_error_bars_are_wider(bench: Bench, plan: SessionPlan) -> None:
     """What a field leaves of waves over the panel counts as noise for the causes, and few captures as Student's t."""
     observations = measured(bench, plan, SIGMA_PX, seed=9, combiner_tilt=[0.3, -0.2, 0.3])
     read, names = observations.session.readings, ("combiner_tilt",)
     alone = diagnosed(observations, names).causes[0]
-    read.panel_pixel[:, 0] += 2.0 * np.sin(2 * np.pi * read.panel_pixel[:, 0] / 500)
+    present(read.panel_pixel)[:, 0] += 2.0 * np.sin(2 * np.pi * present(read.panel_pixel)[:, 0] / 500)
     said = diagnosed(observations, names)
     assert (said.verdict, said.effects[0].station) == (LOCATED, "panel")
     (cause,) = said.causes
@@ -177,9 +190,9 @@ def test_where_more_than_noise_is_left_the_error_bars_are_wider(bench, plan):
     np.testing.assert_allclose(sigmas[1] / said.fit.sigmas(), factor, rtol=1e-6)
 
 
-def test_few_captures_widen_the_error_bars_as_student_does(bench, plan):
+def test_few_captures_widen_the_error_bars_as_student_does(bench: Bench, plan: SessionPlan) -> None:
     """68.3 % of Student's t: 1.20 of a standard deviation with 3 degrees of freedom, 1.84 with one."""
     observations = measured(bench, plan, SIGMA_PX)
     for captures, factor in ((1, 1.837), (3, 1.197), (36, 1.014)):
         few = observations.of_rows(observations.group < captures)
-        assert few_captures_factor(fitted(few, Explanation()), few) == pytest.approx(factor, abs=2e-3)
+        assert few_captures_factor(present(fitted(few, Explanation())), few) == pytest.approx(factor, abs=2e-3)

@@ -5,8 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis.small_session import measured, scatter_of, weighed
+from numpy.typing import ArrayLike
 
+from wlr_render.bench.bench import Bench
+from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.observations import DISPLAY
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.scatter import (
     Scatter,
     ScatterSums,
@@ -25,7 +30,7 @@ from wlr_render.numerics.scatter_search import (
 
 
 @pytest.fixture(scope="module")
-def drawn():
+def drawn() -> tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray]:
     """Readings of five captures in two parts, one of which moved, and what follows from them by dense matrices."""
     rng = np.random.default_rng(1)
     group = rng.permutation(np.repeat(np.arange(5), 9))
@@ -48,11 +53,13 @@ def drawn():
     return sums, scatter, y.ravel(), columns.reshape(90, 3), variance
 
 
-def density(y, variance):
+def density(y: FloatArray, variance: FloatArray):
     return y @ np.linalg.solve(variance, y) + np.linalg.slogdet(variance)[1]
 
 
-def test_motions_are_integrated_out_exactly(drawn):
+def test_motions_are_integrated_out_exactly(
+    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
+) -> None:
     sums, scatter, y, columns, variance = drawn
     found = marginal(sums, scatter)
     assert found.minus_two_log == pytest.approx(density(y, variance), rel=1e-9)
@@ -60,7 +67,9 @@ def test_motions_are_integrated_out_exactly(drawn):
     np.testing.assert_allclose(found.gradient, columns.T @ np.linalg.solve(variance, y), rtol=1e-8, atol=1e-9)
 
 
-def test_values_are_integrated_out_over_their_priors_exactly(drawn):
+def test_values_are_integrated_out_over_their_priors_exactly(
+    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
+) -> None:
     sums, scatter, y, columns, variance = drawn
     mean, sigma = np.array([0.4, -1.0, 0.2]), np.array([0.3, 1.0, 2.0])
     expected = density(y - columns @ mean, variance + (columns * sigma**2) @ columns.T)
@@ -71,14 +80,18 @@ def test_values_are_integrated_out_over_their_priors_exactly(drawn):
     assert some.minus_two_log_evidence == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_most_probable_motions_are_those_of_linear_regression(drawn):
+def test_the_most_probable_motions_are_those_of_linear_regression(
+    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
+) -> None:
     sums, scatter, *_ = drawn
     size = np.repeat([20.0, 60.0], 3) / 1.3  # over the noise of the part
     expected = np.linalg.solve(sums.ee[0] + np.diag(size**-2.0), sums.ey[0])
     np.testing.assert_allclose(motions_of(sums, scatter)[0], expected, rtol=1e-8)
 
 
-def test_carried_effects_are_one_more_random_error_of_all_readings(drawn):
+def test_carried_effects_are_one_more_random_error_of_all_readings(
+    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
+) -> None:
     sums, scatter, y, columns, variance = drawn
     size = np.array([0.3, 2.0])
     carried = replace(sums, mean=np.array([0.4, 0.0, 0.0]), sigma=np.r_[1.0, size], carried=2)
@@ -92,7 +105,9 @@ def test_carried_effects_are_one_more_random_error_of_all_readings(drawn):
     assert cost(carried, scatter) == pytest.approx(evidence, rel=1e-9)
 
 
-def test_slopes_of_the_evidence_are_its_derivatives(drawn):
+def test_slopes_of_the_evidence_are_its_derivatives(
+    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
+) -> None:
     sums, scatter, *_ = drawn
     step, priors = 1e-5, {"mean": np.array([0.4, -0.1, 0.0]), "sigma": np.array([1.0, 1.0, 2.0])}
     sums = replace(sums, **priors, carried=1)
@@ -104,7 +119,9 @@ def test_slopes_of_the_evidence_are_its_derivatives(drawn):
         assert slopes.ravel()[number] == pytest.approx(difference / (2 * step), rel=1e-5, abs=1e-5)
 
 
-def test_the_best_sizes_have_the_highest_evidence(drawn):
+def test_the_best_sizes_have_the_highest_evidence(
+    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
+) -> None:
     sums, scatter, *_ = drawn
     best, cost = best_scatter(sums, scatter)
     assert cost == pytest.approx(marginal(sums, best).minus_two_log_evidence + surprise(best, sums))
@@ -119,7 +136,9 @@ def test_the_best_sizes_have_the_highest_evidence(drawn):
     np.testing.assert_array_equal(best.moved, scatter.moved)
 
 
-def test_usual_sizes_are_no_surprise_and_a_moved_capture_costs_its_odds(drawn):
+def test_usual_sizes_are_no_surprise_and_a_moved_capture_costs_its_odds(
+    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
+) -> None:
     sums, scatter, *_ = drawn
     usual = replace(Scatter.usual(5), shift_um=np.full(3, 8.0), turn_urad=np.full(3, 25.0))
     assert surprise(usual, sums) == 0.0
@@ -130,12 +149,20 @@ def test_usual_sizes_are_no_surprise_and_a_moved_capture_costs_its_odds(drawn):
 
 
 @pytest.fixture(scope="module")
-def still(bench, plan):
+def still(bench: Bench, plan: SessionPlan) -> WeighedReadings:
     """Readings without a residual, to which motions and noise are added."""
     return weighed(measured(bench, plan))
 
 
-def sums_of(readings, rng, shift_um, turn_urad, moved=(), noise_dof=5.0, motion_dof=4.0):
+def sums_of(
+    readings: WeighedReadings,
+    rng: np.random.Generator,
+    shift_um: float,
+    turn_urad: float,
+    moved: ArrayLike = (),
+    noise_dof: float = 5.0,
+    motion_dof: float = 4.0,
+) -> ScatterSums:
     """Readings with noise and motions of Student's t, where the model has normal ones."""
     observed = readings.observations
     count = len(observed.captures)
@@ -153,7 +180,9 @@ def sums_of(readings, rng, shift_um, turn_urad, moved=(), noise_dof=5.0, motion_
 
 
 @pytest.mark.parametrize(("shift_um", "turn_urad"), [(10.0, 20.0), (30.0, 60.0)])
-def test_sizes_of_motions_come_back_within_their_errors(still, shift_um, turn_urad):
+def test_sizes_of_motions_come_back_within_their_errors(
+    still: WeighedReadings, shift_um: float, turn_urad: float
+) -> None:
     """Over sessions, with noise that has tails: the display tells both sizes, each with the error that is stated."""
     off, logs = [], []
     for seed in range(15):
@@ -170,7 +199,7 @@ def test_sizes_of_motions_come_back_within_their_errors(still, shift_um, turn_ur
 
 
 @pytest.mark.parametrize("count", [1, 3, 6])
-def test_captures_that_moved_are_named_exactly(still, count):
+def test_captures_that_moved_are_named_exactly(still: WeighedReadings, count: int) -> None:
     for seed in range(4):
         rng = np.random.default_rng(100 + seed)
         moved = np.sort(rng.permutation(18)[:count])
@@ -180,7 +209,7 @@ def test_captures_that_moved_are_named_exactly(still, count):
         assert cost < best_scatter(sums, Scatter.usual(36))[1] - 10.0
 
 
-def test_where_none_moved_none_is_named(still):
+def test_where_none_moved_none_is_named(still: WeighedReadings) -> None:
     """Motions have tails, which now and then look like a capture that moved."""
     named = 0
     for seed in range(12):
@@ -189,14 +218,14 @@ def test_where_none_moved_none_is_named(still):
     assert named <= 2
 
 
-def test_captures_that_were_taken_to_have_moved_are_taken_back(still):
+def test_captures_that_were_taken_to_have_moved_are_taken_back(still: WeighedReadings) -> None:
     sums = sums_of(still, np.random.default_rng(7), 12.0, 30.0, (4,))
     start = scatter_of(still.observations, 8.0, 25.0, moved=(2, 3, 5, 9))
     found, _ = with_moved_captures(sums, start)
     assert np.flatnonzero(found.moved).tolist() == [4]
 
 
-def test_a_shift_that_all_captures_have_is_for_the_causes(still):
+def test_a_shift_that_all_captures_have_is_for_the_causes(still: WeighedReadings) -> None:
     """The columns explain it: then it is no motion."""
     observed, rng = still.observations, np.random.default_rng(8)
     columns = still.motions[:, :, :3] * 500.0
@@ -209,7 +238,7 @@ def test_a_shift_that_all_captures_have_is_for_the_causes(still):
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 40])
-def test_the_evidence_of_every_size_is_that_of_dense_algebra(count):
+def test_the_evidence_of_every_size_is_that_of_dense_algebra(count: int) -> None:
     rng = np.random.default_rng(count)
     half = rng.normal(size=(count // 2 + 1, count))
     information, sizes = half.T @ half, np.array([0.03, 1.0, 40.0])

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,12 +16,15 @@ from diagnosis.small_session import (
     with_jitter,
     with_noise,
 )
+from present import present
 
+from wlr_render.bench.bench import Bench
 from wlr_render.bench.simulate_session import simulate
-from wlr_render.captures.session import Session, SessionPlan
-from wlr_render.diagnosis.cause_selection import Search
+from wlr_render.captures.session import Session, SessionPlan, StagePlan
+from wlr_render.diagnosis.cause_selection import CandidateRanking, Search, Selection
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import fit, reduced_chi_squared, times_between_captures
+from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.screening import Signatures, best_fit, hypotheses, screen
 from wlr_render.diagnosis.settings import Settings
@@ -29,60 +33,60 @@ from wlr_render.numerics.scatter import Scatter
 NAMES = ("combiner_tilt", "panel_shift", "target_scale", "stage_scale")
 
 
-def searching(observations, names=NAMES, most=700, **settings):
+def searching(observations: Observations, names: tuple[str, ...] = NAMES, most: int = 700, **settings: Any) -> Search:
     full = weighed(observations)
     candidates = hypotheses({name: CAUSES[name] for name in names})
     return Search(full, full.of_rows(observations.spread(most)), candidates, settings=Settings(**settings))
 
 
-def ranking_of(search, start=Explanation()):  # noqa: B008
+def ranking_of(search: Search, start: Explanation = Explanation()) -> CandidateRanking:  # noqa: B008
     return search.rank(search.refitted(start, Scatter.usual(len(search.full.observations.captures))))
 
 
-def names_of(selection):
+def names_of(selection: Selection) -> tuple[str, ...]:
     return selection.fit.explanation.names
 
 
-def with_dent(observations, size_px):
+def with_dent(observations: Observations, size_px: float):
     """A dent of the display over an eighth of its field, which no cause explains."""
-    read, camera = observations.session.readings, observations.session.plan.display.camera_pixel
+    read, camera = observations.session.readings, present(observations.session.plan.display).camera_pixel
     radius = np.linalg.norm(camera - [700.0, 600.0], axis=1)
-    read.panel_pixel[:, 0] += size_px * np.exp(-0.5 * (radius / 80.0) ** 2)
+    present(read.panel_pixel)[:, 0] += size_px * np.exp(-0.5 * (radius / 80.0) ** 2)
     return observations
 
 
 @pytest.fixture(scope="module")
-def two(bench, plan):
+def two(bench: Bench, plan: SessionPlan) -> Observations:
     observations = measured(bench, plan, SIGMA_PX, seed=11, combiner_tilt=[0.3, -0.2, 0.3], target_scale=[0.3, 0.3])
     return observations.of_rows(observations.spread(900))
 
 
 @pytest.fixture(scope="module")
-def clean_and_noisy(bench, plan):
+def clean_and_noisy(bench: Bench, plan: SessionPlan) -> Observations:
     return measured(bench, plan, SIGMA_PX, seed=12)
 
 
 @pytest.mark.slow
-def test_causes_are_added_until_none_is_worth_fitting(two):
+def test_causes_are_added_until_none_is_worth_fitting(two: Observations) -> None:
     selection = searching(two).select()
     assert set(names_of(selection)) == {"combiner_tilt", "target_scale"}
     assert selection.reason == "no other cause makes the readings more probable"
     assert reduced_chi_squared(selection.fit) == pytest.approx(1.0, abs=0.1)
 
 
-def test_nothing_is_added_to_noise(clean_and_noisy):
+def test_nothing_is_added_to_noise(clean_and_noisy: Observations) -> None:
     assert names_of(searching(clean_and_noisy).select()) == ()
 
 
 @pytest.mark.slow
-def test_no_more_causes_than_allowed_are_added_and_the_reason_says_so(two):
+def test_no_more_causes_than_allowed_are_added_and_the_reason_says_so(two: Observations) -> None:
     selection = searching(two, max_causes=1, restarts=0).select()
     assert names_of(selection) == ("combiner_tilt",)
     assert selection.reason == "1 causes are the most that are searched for"
 
 
 @pytest.mark.slow
-def test_the_ranking_is_by_evidence_and_leaves_out_causes_at_work(two):
+def test_the_ranking_is_by_evidence_and_leaves_out_causes_at_work(two: Observations) -> None:
     search = searching(two, min_relative_gain=0.001)
     ranking = ranking_of(search, explanation(target_scale=[0, 0]))
     assert ranking.fits[0].explanation.names[-1] == "combiner_tilt"
@@ -94,14 +98,18 @@ def test_the_ranking_is_by_evidence_and_leaves_out_causes_at_work(two):
 
 @pytest.mark.parametrize(("share", "most"), [(0.001, 4), (0.99, 1)])
 @pytest.mark.slow
-def test_only_candidates_that_promise_a_share_of_the_best_gain_are_fitted(two, share, most):
+def test_only_candidates_that_promise_a_share_of_the_best_gain_are_fitted(
+    two: Observations, share: float, most: int
+) -> None:
     search = searching(two, min_relative_gain=share)
     ranking = ranking_of(search)
     assert (len(ranking.rough) == 1) == (most == 1)
     assert len(searching(two, min_relative_gain=share, max_fits=1).rank(ranking.current).rough) == 1
 
 
-def test_a_cause_below_the_limit_of_the_odds_is_refused_and_named_with_its_odds(bench, plan):
+def test_a_cause_below_the_limit_of_the_odds_is_refused_and_named_with_its_odds(
+    bench: Bench, plan: SessionPlan
+) -> None:
     """At five standard errors the odds are better than even, and worse than a hundred to one."""
     observations = measured(bench, plan, SIGMA_PX, seed=15, target_scale=[0.014, 0.0])
     refused = searching(observations, ("target_scale",), 9999).select()
@@ -112,7 +120,7 @@ def test_a_cause_below_the_limit_of_the_odds_is_refused_and_named_with_its_odds(
 
 
 @pytest.mark.slow
-def test_no_cause_is_named_on_shaky_benches(bench, plan):
+def test_no_cause_is_named_on_shaky_benches(bench: Bench, plan: SessionPlan) -> None:
     """Motions with tails, which the model takes for normal ones: none of ten sessions has odds for any cause."""
     clean = measured(bench, plan)
     clean = clean.of_rows(clean.spread(900))
@@ -123,7 +131,7 @@ def test_no_cause_is_named_on_shaky_benches(bench, plan):
 
 
 @pytest.mark.slow
-def test_an_unlisted_effect_in_one_part_hides_no_cause_in_another(bench, plan):
+def test_an_unlisted_effect_in_one_part_hides_no_cause_in_another(bench: Bench, plan: SessionPlan) -> None:
     """A dent of the display, and a target printed too large, which shows in the other part alone."""
     for size_px in (1.0, 3.0, 10.0):
         observations = with_dent(measured(bench, plan, SIGMA_PX, seed=13, target_scale=[0.3, 0.3]), size_px)
@@ -132,12 +140,12 @@ def test_an_unlisted_effect_in_one_part_hides_no_cause_in_another(bench, plan):
         np.testing.assert_allclose(selection.fit.explanation.vector(), 0.3, atol=0.02)
 
 
-def test_a_cause_that_explains_little_but_surely_is_accepted(bench, plan):
+def test_a_cause_that_explains_little_but_surely_is_accepted(bench: Bench, plan: SessionPlan) -> None:
     observations = measured(bench, plan, SIGMA_PX, seed=14, target_scale=[0.02, 0.02])
     assert names_of(searching(observations, ("target_scale",)).select()) == ("target_scale",)
 
 
-def test_a_cause_that_only_all_readings_show_is_accepted(bench, plan):
+def test_a_cause_that_only_all_readings_show_is_accepted(bench: Bench, plan: SessionPlan) -> None:
     observations = measured(bench, plan, SIGMA_PX, seed=15, target_scale=[0.02, 0.02])
     search = searching(observations, ("target_scale",), 60)
     assert ranking_of(search).screened[0].gain < 0.0
@@ -145,7 +153,9 @@ def test_a_cause_that_only_all_readings_show_is_accepted(bench, plan):
 
 
 @pytest.mark.parametrize("late", [2, 3, 4])
-def test_a_slip_in_the_last_captures_is_a_slip_and_none_of_them_moved(bench, plan, late):
+def test_a_slip_in_the_last_captures_is_a_slip_and_none_of_them_moved(
+    bench: Bench, plan: SessionPlan, late: int
+) -> None:
     """Two captures are as many as tell a slip from a capture that moved."""
     seconds = 60.0 * (18 - late) - 30.0
     shown = SessionPlan(plan.display)
@@ -161,7 +171,7 @@ def test_a_slip_in_the_last_captures_is_a_slip_and_none_of_them_moved(bench, pla
 
 
 @pytest.mark.slow
-def test_a_candidate_that_loses_readings_is_none(two):
+def test_a_candidate_that_loses_readings_is_none(two: Observations) -> None:
     """Its few residuals would be smaller than those of all readings."""
     search = searching(two, ("combiner_shift",))
     nothing = search.on_subsample(ranking_of(search).current)
@@ -171,21 +181,21 @@ def test_a_candidate_that_loses_readings_is_none(two):
     assert fit(search.subsample, lost, prospect.scatter) is None
 
 
-def test_a_cause_that_a_later_one_has_made_idle_is_pruned(two):
+def test_a_cause_that_a_later_one_has_made_idle_is_pruned(two: Observations) -> None:
     search = searching(two)
     both = explanation(panel_shift=[0, 0], combiner_tilt=[0, 0, 0]).plus(hypothesis("target_scale"))
     found = search.refitted(both, Scatter.usual(len(two.captures)))
     assert search.pruned(found).explanation.names == ("combiner_tilt", "target_scale")
 
 
-def test_no_cause_at_work_is_pruned(two):
+def test_no_cause_at_work_is_pruned(two: Observations) -> None:
     search = searching(two)
     start = explanation(target_scale=[0, 0], combiner_tilt=[0, 0, 0])
     found = search.refitted(start, Scatter.usual(len(two.captures)))
     assert search.pruned(found) is found
 
 
-def test_the_excess_is_that_of_the_captures_that_count(clean_and_noisy):
+def test_the_excess_is_that_of_the_captures_that_count(clean_and_noisy: Observations) -> None:
     readings = weighed(clean_and_noisy)
     count = len(clean_and_noisy.captures)
     calm = Scatter.usual(count)
@@ -199,7 +209,7 @@ def test_the_excess_is_that_of_the_captures_that_count(clean_and_noisy):
     assert readings.excess(one, 0, others) == pytest.approx(readings.excess(calm, 0, others))
 
 
-def test_values_that_lose_readings_are_fitted_from_null_values(clean_and_noisy):
+def test_values_that_lose_readings_are_fitted_from_null_values(clean_and_noisy: Observations) -> None:
     """Without another cause, the values of one may leave readings unpredicted."""
     search = searching(clean_and_noisy)
     far = explanation(combiner_shift=[100.0, 0.0, 0.0])
@@ -208,10 +218,13 @@ def test_values_that_lose_readings_are_fitted_from_null_values(clean_and_noisy):
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_without_a_moment_between_captures_nothing_can_have_slipped(bench, plan, times):
+def test_without_a_moment_between_captures_nothing_can_have_slipped(
+    bench: Bench, plan: SessionPlan, times: int
+) -> None:
     """A lab may write the same time for all captures; with two times there is no moment away from either end."""
 
-    def at_few_times(part):
+    def at_few_times(part: StagePlan | None):
+        assert part is not None
         return replace(part, time_s=part.capture % times * 40.0)
 
     timeless = replace(plan, display=at_few_times(plan.display), see_through=at_few_times(plan.see_through))
@@ -219,5 +232,5 @@ def test_without_a_moment_between_captures_nothing_can_have_slipped(bench, plan,
     observations = Predictor.of_session(bench, Session("timeless", timeless, simulate(bench, timeless))).observations
     readings, current = weighed(observations), fitted(observations, Explanation())
     candidates = hypotheses({name: CAUSES[name] for name in ("headset_slip", "panel_shift")})
-    screened = screen(Signatures.of(readings, candidates), current, candidates)
+    screened = screen(Signatures.of(readings, candidates), present(current), candidates)
     assert {each.hypothesis.cause.name for each in screened} == {"panel_shift"}

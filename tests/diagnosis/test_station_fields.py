@@ -3,84 +3,96 @@
 The shapes are plane waves, humps and steps; the fields are polynomials.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from diagnosis.small_session import SIGMA_PX, explanation, fitted, measured, weighed, with_noise, with_readings
+from numpy.typing import NDArray
+from present import present
 
+from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_effects import BENCH_KINDS, RUN_TIME_KINDS, BenchEffect
 from wlr_render.bench.simulate_session import simulate
-from wlr_render.captures.session import Session, SessionPlan
+from wlr_render.captures.session import Readings, Session, SessionPlan, StagePlan
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.effect_findings import station_effects
+from wlr_render.diagnosis.field_contest import FieldContest
 from wlr_render.diagnosis.field_terms import LocatedEffect
+from wlr_render.diagnosis.fit import Fit
+from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.station_fields import station_fields
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
 
 
-def wave(variable, period):
+def wave(variable: FloatArray | int | None, period: float) -> NDArray[Any]:
     return np.sin(2 * np.pi * variable / period)
 
 
-def beside(values):
+def beside(values: NDArray[Any]) -> NDArray[Any]:
     """The first of two components; the second is zero."""
     return np.stack([values, np.zeros_like(values)], axis=-1)
 
 
-def nothing(bench, plan):
+def nothing(bench, plan) -> Readings:
     return simulate(bench, plan)
 
 
-def bent_panel(bench, plan):
+def bent_panel(bench, plan) -> Readings:
     """Waves over the panel, as of a warped one."""
     read = simulate(bench, plan)
-    off = 0.6 * wave(read.panel_pixel[:, 0], 1000) * wave(read.panel_pixel[:, 1], 900)
+    off = 0.6 * wave(present(read.panel_pixel)[:, 0], 1000) * wave(present(read.panel_pixel)[:, 1], 900)
     return replace(read, panel_pixel=read.panel_pixel + beside(off))
 
 
-def misread_stripes(bench, plan):
+def misread_stripes(bench, plan) -> Readings:
     """A few of every 64 pixels are off, as where one stripe of a Gray code is misread."""
     read = simulate(bench, plan)
-    off = np.where(np.mod(read.panel_pixel[:, 0], 64) < 5, 3.0, 0.0)
+    off = np.where(np.mod(present(read.panel_pixel)[:, 0], 64) < 5, 3.0, 0.0)
     return replace(read, panel_pixel=read.panel_pixel + beside(off))
 
 
-def fringes(bench, plan):
+def fringes(bench: Bench, plan: SessionPlan) -> Readings:
     """Fringes of 37 pixels whose profile is no sine: decoded positions swing once and twice a fringe."""
     read = simulate(bench, plan)
     off = 0.8 * wave(read.panel_pixel + 11, 37) + 0.2 * wave(read.panel_pixel, 18.5)
-    return replace(read, panel_pixel=read.panel_pixel + off)
+    return replace(read, panel_pixel=present(read.panel_pixel) + off)
 
 
-def magnified_red(bench, plan):
+def magnified_red(bench, plan) -> Readings:
     read = simulate(bench, plan)
-    off = 0.6 * (plan.display.channel == 0) * (read.panel_pixel[:, 0] - 700) / 500
+    off = 0.6 * (plan.display.channel == 0) * (present(read.panel_pixel)[:, 0] - 700) / 500
     return replace(read, panel_pixel=read.panel_pixel + beside(off))
 
 
-def lens(bench, plan):
+def lens(bench, plan) -> Readings:
     """Waves over the camera's image, as of a lens that is not radial."""
 
-    def off(pixel):
-        return 0.4 * beside(wave(pixel[:, 0], 700) * wave(pixel[:, 1], 600))
+    def off(pixel: FloatArray | None) -> FloatArray:
+        return 0.4 * beside(wave(present(pixel)[:, 0], 700) * wave(present(pixel)[:, 1], 600))
 
     imaged = replace(
         plan, display=replace(plan.display, camera_pixel=plan.display.camera_pixel - off(plan.display.camera_pixel))
     )
     read = simulate(bench, imaged)
-    return replace(read, dot_pixel=read.dot_pixel + off(read.dot_pixel))
+    return replace(read, dot_pixel=present(read.dot_pixel) + off(read.dot_pixel))
 
 
-def at_stage(bench, plan, error):
+def at_stage(bench: Bench, plan: SessionPlan, error: Callable[..., Any]) -> Readings:
     """The camera stands elsewhere than the stage says, in both parts."""
-    tables = [replace(table, stage=table.stage + error(table)) for table in (plan.display, plan.see_through)]
+    tables = [
+        replace(present(table), stage=present(table).stage + error(table)) for table in (plan.display, plan.see_through)
+    ]
     return simulate(bench, SessionPlan(*tables))
 
 
-def screw(bench, plan):
+def screw(bench, plan: SessionPlan) -> Readings:
     """A stage whose screw of 1.6 mm lead errs by 60 um once a turn, by 15 um twice a turn, and in its mean lead."""
 
     def error(table):
@@ -91,25 +103,25 @@ def screw(bench, plan):
     return at_stage(bench, plan, error)
 
 
-def hump(bench, plan):
+def hump(bench, plan) -> Readings:
     """A stage that is bent by 100 micrometres."""
     return at_stage(
         bench, plan, lambda table: 1e-4 * ((table.stage[:, :1] - bench.stage.origin[0]) / 4e-3) ** 2 * [0, 1, 0]
     )
 
 
-def swing(bench, plan):
+def swing(bench, plan) -> Readings:
     """The camera swings by 100 micrometres as the room warms and cools."""
     return at_stage(bench, plan, lambda table: 1e-4 * wave(table.time_s[:, None], 1300.0) * [0.0, 0.0, 1.0])
 
 
-def warped_print(bench, plan):
+def warped_print(bench, plan) -> Readings:
     dots = plan.see_through.dot
     off = 4e-4 * beside(wave(dots[:, 0], 0.25) * wave(dots[:, 1] + 0.03, 0.3))
     return simulate(bench, replace(plan, see_through=replace(plan.see_through, dot=dots + off)))
 
 
-def dent(bench, plan):
+def dent(bench, plan: SessionPlan) -> Readings:
     """A bump of the combiner 6 mm wide, of which the causes considered know nothing."""
     return simulate(explanation(combiner_dent=[6.0, 3.0, -2.0, 6.0]).bench(bench), plan)
 
@@ -128,16 +140,16 @@ EFFECTS = [
 ]
 
 
-def of_fields(readings, found):
-    return Search(readings, readings, (), fields=station_fields(readings)).contest(found)
+def of_fields(readings: WeighedReadings, found: Fit | None) -> FieldContest:
+    return Search(readings, readings, (), fields=station_fields(readings)).contest(present(found))
 
 
-def noisy(bench, plan, read):
+def noisy(bench: Bench, plan: SessionPlan, read: Readings) -> Observations:
     observations = Predictor.of_session(bench, Session("small", plan, read)).observations
     return with_noise(observations, SIGMA_PX, np.random.default_rng(3))
 
 
-def contest(bench, plan, read, causes=None):
+def contest(bench: Bench, plan: SessionPlan, read: Readings, causes: Explanation | None = None) -> FieldContest:
     observations = noisy(bench, plan, read)
     readings = weighed(observations)
     return of_fields(readings, fitted(observations, causes or Explanation()))
@@ -145,14 +157,16 @@ def contest(bench, plan, read, causes=None):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("effect", "station", "coordinates"), EFFECTS, ids=[each[0].__name__ for each in EFFECTS])
-def test_an_effect_is_located_at_its_station(bench, plan, effect, station, coordinates):
+def test_an_effect_is_located_at_its_station(
+    bench: Bench, plan: SessionPlan, effect: Callable[..., Any], station: str, coordinates: str
+) -> None:
     first = contest(bench, plan, effect(bench, plan)).located(2.0)[0]
     assert (first.field.station, first.field.coordinates) == (station, coordinates)
     assert first.log10_odds > 4
 
 
 @pytest.mark.slow
-def test_other_readings_get_the_periods_that_were_found(bench, plan):
+def test_other_readings_get_the_periods_that_were_found(bench: Bench, plan: SessionPlan) -> None:
     readings = weighed(noisy(bench, plan, screw(bench, plan)))
     some = readings.of_rows(np.arange(len(readings.observations)) % 7 == 0)
     periods = [
@@ -164,10 +178,11 @@ def test_other_readings_get_the_periods_that_were_found(bench, plan):
 
 
 @pytest.mark.slow
-def test_the_period_of_a_screw_is_found_between_those_that_are_tried_first(bench, plan):
+def test_the_period_of_a_screw_is_found_between_those_that_are_tried_first(bench: Bench, plan: SessionPlan) -> None:
     """At places off the raster, where the nearest of these is 1.625 mm."""
 
-    def off_raster(table):
+    def off_raster(table: StagePlan | None):
+        assert table is not None
         rng, number = np.random.default_rng(8), np.unique(table.time_s, return_inverse=True)[1]
         x = 4e-3 * rng.uniform(-1.0, 1.0, number.max() + 1)
         return replace(
@@ -182,7 +197,7 @@ def test_the_period_of_a_screw_is_found_between_those_that_are_tried_first(bench
 
 
 @pytest.mark.slow
-def test_the_period_of_fringes_is_found_and_a_bench_has_their_wave(bench, plan):
+def test_the_period_of_fringes_is_found_and_a_bench_has_their_wave(bench: Bench, plan: SessionPlan) -> None:
     won = contest(bench, plan, fringes(bench, plan))
     effects = won.located(2.0)
     assert [each.field.period for each in effects[:2]] == pytest.approx([37.0, 37.0], rel=2e-3)
@@ -192,15 +207,17 @@ def test_the_period_of_fringes_is_found_and_a_bench_has_their_wave(bench, plan):
     ]
     changed = simulate(replace(bench, effects=tuple(sum(stated, ()))), plan).panel_pixel
     truth = fringes(bench, plan).panel_pixel
-    assert np.std(changed - truth) < 0.35 * np.std(truth - simulate(bench, plan).panel_pixel)
+    assert np.std(present(changed) - present(truth)) < 0.35 * np.std(
+        present(truth) - present(simulate(bench, plan).panel_pixel)
+    )
 
 
 @pytest.mark.slow
-def test_a_bump_of_any_degree_has_an_error(bench, plan):
+def test_a_bump_of_any_degree_has_an_error(bench: Bench, plan: SessionPlan) -> None:
     observations = noisy(bench, plan, dent(bench, plan))
     readings = weighed(observations)
     fields = station_fields(readings, spot=Box(np.array([-3.0, -8.0]), np.array([9.0, 4.0])))
-    contest = Search(readings, readings, (), fields=fields).contest(fitted(observations, Explanation()))
+    contest = Search(readings, readings, (), fields=fields).contest(present(fitted(observations, Explanation())))
     (field, *_) = (each for each in fields if each.is_in_spot)
     for degree in field.degrees:
         effect = LocatedEffect(field, degree, 1.0, 10.0)
@@ -210,25 +227,27 @@ def test_a_bump_of_any_degree_has_an_error(bench, plan):
 
 
 @pytest.mark.slow
-def test_nothing_is_located_where_nothing_acts(bench, plan):
+def test_nothing_is_located_where_nothing_acts(bench: Bench, plan: SessionPlan) -> None:
     quiet = contest(bench, plan, nothing(bench, plan))
     assert quiet.located(2.0) == []
     assert max(each.log10_odds for each in quiet.ranked) < 1.0
 
 
 @pytest.mark.slow
-def test_a_displacement_is_returned_in_the_units_of_its_station(bench, plan):
+def test_a_displacement_is_returned_in_the_units_of_its_station(bench: Bench, plan: SessionPlan) -> None:
     won = contest(bench, plan, bent_panel(bench, plan))
     (effect, *_) = won.located(2.0)
     ((values, _),) = won.values_and_covariances([effect], won.scatter_beside([effect]))
     found, read = effect.acting.displacement(values), simulate(bench, plan).panel_pixel
-    true = 0.6 * wave(read[:, 0], 1000) * wave(read[:, 1], 900)
+    true = 0.6 * wave(present(read)[:, 0], 1000) * wave(present(read)[:, 1], 900)
     assert np.std(found[: len(true), 0] - true) < 0.25 * np.std(true)
     assert np.std(found[: len(true), 1]) < 0.25 * np.std(true)
 
 
 @pytest.mark.slow
-def test_a_cause_keeps_its_name_where_its_effect_is_there_and_loses_it_where_another_shape_is(bench, plan):
+def test_a_cause_keeps_its_name_where_its_effect_is_there_and_loses_it_where_another_shape_is(
+    bench: Bench, plan: SessionPlan
+) -> None:
     true = explanation(panel_scale=[0.3])
     right = contest(bench, plan, simulate(true.bench(bench), plan), true)
     assert right.odds_of_cause(0, "panel", right.located(2.0))[0] > 4
@@ -238,7 +257,7 @@ def test_a_cause_keeps_its_name_where_its_effect_is_there_and_loses_it_where_ano
 
 
 @pytest.mark.slow
-def test_two_causes_that_one_field_does_as_well_have_no_name(bench, run_time):
+def test_two_causes_that_one_field_does_as_well_have_no_name(bench: Bench, run_time: SessionPlan) -> None:
     """Rows of the camera are late one after the other: a scan-out and a latency together are much alike."""
     rolled = BenchEffect.of_function("camera", "delay", lambda pixel: 6e-3 * pixel[:, 1:], (0.0, 0.0), (1280.0, 1024.0))
     alike, both = explanation(rolling_scanout=[5.0], latency=[1.0]), []
@@ -252,10 +271,12 @@ def test_two_causes_that_one_field_does_as_well_have_no_name(bench, run_time):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("share", "is_named"), [(0.6, False), (1.5, False), (6.0, True)])
-def test_the_mean_of_a_drift_is_a_cause_elsewhere_only_if_it_is_much_larger(bench, plan, share, is_named):
+def test_the_mean_of_a_drift_is_a_cause_elsewhere_only_if_it_is_much_larger(
+    bench: Bench, plan: SessionPlan, share: float, is_named: bool
+) -> None:
     """A camera that swings in the course of the session, about a place beside the stated one."""
 
-    def off(table):
+    def off(table) -> FloatArray:
         return 1e-4 * (share + wave(table.time_s[:, None], 1300.0)) * [0.0, 0.0, 1.0]
 
     won = contest(bench, plan, at_stage(bench, plan, off), explanation(camera_pupil_offset=[0.0, 0.0, 0.1 * share]))
@@ -265,7 +286,7 @@ def test_the_mean_of_a_drift_is_a_cause_elsewhere_only_if_it_is_much_larger(benc
 
 
 @pytest.mark.slow
-def test_a_cause_elsewhere_keeps_its_name_where_nothing_drifts(bench, plan):
+def test_a_cause_elsewhere_keeps_its_name_where_nothing_drifts(bench: Bench, plan: SessionPlan) -> None:
     still = at_stage(bench, plan, lambda table: [0.0, 0.0, 6e-5])
     alone = contest(bench, plan, still, explanation(camera_pupil_offset=[0.0, 0.0, 0.06]))
     assert alone.odds_of_cause(0, "camera", alone.located(2.0))[0] > 2
@@ -280,9 +301,11 @@ def test_a_cause_elsewhere_keeps_its_name_where_nothing_drifts(bench, plan):
         (lambda plan, pixel: 0.4 * beside(wave(plan.time_s, 9.0)), "time", "time"),
     ],
 )
-def test_an_effect_at_run_time_is_located(bench, run_time, off, station, coordinates):
+def test_an_effect_at_run_time_is_located(
+    bench: Bench, run_time: SessionPlan, off: Callable[..., Any], station: str, coordinates: str
+) -> None:
     observations = measured(bench, run_time, SIGMA_PX, seed=2)
-    pixel = observations.session.readings.run_time_pixel.copy()
+    pixel = present(observations.session.readings.run_time_pixel).copy()
     pixel[:, :2] += off(observations.session.plan.run_time, pixel)
     observations = with_readings(observations, run_time_pixel=pixel)
     readings = weighed(observations)
@@ -291,7 +314,7 @@ def test_an_effect_at_run_time_is_located(bench, run_time, off, station, coordin
     assert first.log10_odds > 4
 
 
-def test_the_error_of_a_size_is_that_by_the_covariance_of_the_coefficients(bench, plan):
+def test_the_error_of_a_size_is_that_by_the_covariance_of_the_coefficients(bench: Bench, plan: SessionPlan) -> None:
     fields = station_fields(weighed(measured(bench, plan)))
     rng = np.random.default_rng(5)
     for station, per_axis in (("camera", 2), ("stage", 6), ("combiner", 1)):
@@ -312,7 +335,7 @@ def test_the_error_of_a_size_is_that_by_the_covariance_of_the_coefficients(bench
         assert sigma == pytest.approx(np.std(sizes), rel=0.15)
 
 
-def test_the_size_of_a_pose_is_its_shift_or_its_turn_whichever_is_clearer(bench, plan):
+def test_the_size_of_a_pose_is_its_shift_or_its_turn_whichever_is_clearer(bench: Bench, plan: SessionPlan) -> None:
     fields = station_fields(weighed(measured(bench, plan)))
     effect = LocatedEffect(next(each for each in fields if each.station == "stage"), 1, 1.0, 10.0)
     for axes, unit in (([0, 1, 2], "um"), ([3, 4, 5], "urad")):
@@ -321,14 +344,16 @@ def test_the_size_of_a_pose_is_its_shift_or_its_turn_whichever_is_clearer(bench,
         assert (said, size > 10.0 * sigma) == (unit, True)
 
 
-def test_every_cause_has_a_station_that_a_session_shows(bench, plan, run_time):
+def test_every_cause_has_a_station_that_a_session_shows(bench: Bench, plan: SessionPlan, run_time: SessionPlan) -> None:
     shown = {field.station for field in station_fields(weighed(measured(bench, plan)))}
     shown |= {field.station for field in station_fields(weighed(measured(bench, run_time)))}
     assert {cause.station for cause in CAUSES.values()} <= shown
 
 
 @pytest.mark.parametrize("session", ["bench", "run time"])
-def test_a_bench_with_an_effect_reads_what_the_field_says(bench, plan, run_time, session):
+def test_a_bench_with_an_effect_reads_what_the_field_says(
+    bench, plan: SessionPlan, run_time: SessionPlan, session: str
+) -> None:
     """Every field that a file can state, with small random coefficients: to first order the bench does the same."""
     readings = weighed(measured(bench, plan if session == "bench" else run_time, SIGMA_PX, seed=2))
     predictor, rng, stated = readings.predictor, np.random.default_rng(3), set()
@@ -349,15 +374,17 @@ def test_a_bench_with_an_effect_reads_what_the_field_says(bench, plan, run_time,
 
 
 @pytest.mark.slow
-def test_a_far_smaller_effect_may_be_the_rest_of_a_large_one(bench, plan):
+def test_a_far_smaller_effect_may_be_the_rest_of_a_large_one(bench: Bench, plan: SessionPlan) -> None:
     """Large waves over the panel, and a camera that swings a little."""
 
-    def off(table):
+    def off(table) -> FloatArray:
         return 6e-5 * wave(table.time_s[:, None], 1300.0) * [0.0, 0.0, 1.0]
 
     read = at_stage(bench, plan, off)
     pixel = read.panel_pixel
-    won = contest(bench, plan, replace(read, panel_pixel=pixel + beside(6.0 * wave(pixel[:, 0] + 100.0, 2400.0))))
+    won = contest(
+        bench, plan, replace(read, panel_pixel=pixel + beside(6.0 * wave(present(pixel)[:, 0] + 100.0, 2400.0)))
+    )
     effects = won.located(2.0)
     assert [each.field.station for each in effects] == ["panel"]
     rests = won.located(2.0, before=effects)
@@ -368,10 +395,10 @@ def test_a_far_smaller_effect_may_be_the_rest_of_a_large_one(bench, plan):
 
 
 @pytest.mark.slow
-def test_effects_are_fitted_as_the_bench_does_them_where_it_is_not_linear(bench, run_time):
+def test_effects_are_fitted_as_the_bench_does_them_where_it_is_not_linear(bench: Bench, run_time: SessionPlan) -> None:
     """The pupil is far from where it is tracked."""
 
-    def off(gaze):
+    def off(gaze) -> NDArray[Any]:
         return np.stack([3.0 * wave(gaze[:, 0], 1.1), -2.0 * gaze[:, 1], np.zeros(len(gaze))], axis=1)
 
     true = BenchEffect.of_function("eye tracking", "pupil by gaze", off, (-1.0, -1.0), (1.0, 1.0))

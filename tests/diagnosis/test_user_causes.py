@@ -1,6 +1,7 @@
 """Causes that users add, choose and know priors of: taken as stated, or refused in one sentence."""
 
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.cause import Role, with_priors
 from wlr_render.diagnosis.causes import CAUSES, user_causes
 from wlr_render.diagnosis.causes.user_causes import causes_for
@@ -28,10 +30,10 @@ CAUSES = [
 
 
 @pytest.fixture
-def own(tmp_path):
+def own(tmp_path: Path) -> Callable[[str], str]:
     """Text -> path of a file of causes."""
 
-    def written(text):
+    def written(text: str) -> str:
         path = tmp_path / "own.py"
         path.write_text(text)
         return str(path)
@@ -39,14 +41,14 @@ def own(tmp_path):
     return written
 
 
-def test_a_file_adds_its_causes_to_the_listed_ones(bench, own):
+def test_a_file_adds_its_causes_to_the_listed_ones(bench: Bench, own: Callable[[str], str]) -> None:
     causes = causes_for(bench, [own(GOOD)])
     assert list(causes) == [*CAUSES, "lens_hood"]
     moved = causes["lens_hood"].perturb(bench, np.array([0.5]))
     np.testing.assert_allclose(moved.camera.centre_px, bench.camera.centre_px + 0.5)
 
 
-def test_an_installed_package_adds_its_causes(bench, tmp_path, monkeypatch):
+def test_an_installed_package_adds_its_causes(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "cellar_of_ours.py").write_text(GOOD)
     monkeypatch.syspath_prepend(tmp_path)
     entry = EntryPoint("cellar", "cellar_of_ours:CAUSES", user_causes.ENTRY_POINTS)
@@ -78,17 +80,17 @@ def test_an_installed_package_adds_its_causes(bench, tmp_path, monkeypatch):
         ('variants={"v"', 'variants={} and {"v"', r"'lens_hood' has no variants"),
     ],
 )
-def test_faulty_files_of_causes_are_refused_in_a_sentence(bench, own, old, new, sentence):
+def test_faulty_files_of_causes_are_refused_in_a_sentence(bench: Bench, own, old: str, new: str, sentence: str) -> None:
     assert old in GOOD
     with pytest.raises(BadInputError, match=sentence):
         causes_for(bench, [own(GOOD.replace(old, new, 1))])
 
 
-def test_only_named_causes_are_left_less_the_excluded_ones(bench):
+def test_only_named_causes_are_left_less_the_excluded_ones(bench: Bench) -> None:
     assert set(causes_for(bench, only=["latency", "panel_bow"], excluded=["latency"])) == {"panel_bow"}
 
 
-def test_priors_change_mean_and_sigma_of_the_parameters_they_name(bench):
+def test_priors_change_mean_and_sigma_of_the_parameters_they_name(bench: Bench) -> None:
     stated = {"combiner_dent": {"depth": (2.0, 1.0), "x": (3.0, 0.5)}, "latency": {"latency": (5.0, 2.0)}}
     causes = causes_for(replace(bench, priors=stated), only=["combiner_dent", "panel_bow"])
     depth, x, y, width = causes["combiner_dent"].parameters
@@ -108,12 +110,14 @@ def test_priors_change_mean_and_sigma_of_the_parameters_they_name(bench):
         ({"see_through_plate": {"thickness": (-1.0, 1.0)}}, "the mean of 'thickness' is -1; the least is 0"),
     ],
 )
-def test_priors_of_what_does_not_exist_are_refused(priors, sentence):
+def test_priors_of_what_does_not_exist_are_refused(
+    priors: Mapping[str, dict[str, tuple[float, float]]], sentence: str
+) -> None:
     with pytest.raises(BadInputError, match=sentence):
         with_priors(CAUSES, priors)
 
 
-def test_the_documented_example_is_a_cause_and_the_list_is_complete(bench, own):
+def test_the_documented_example_is_a_cause_and_the_list_is_complete(bench: Bench, own: Callable[[str], str]) -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
     example, screw = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     cause = causes_for(bench, [own(example)])["stage_squareness"]
@@ -139,7 +143,9 @@ def test_the_documented_example_is_a_cause_and_the_list_is_complete(bench, own):
         ("in_place", "stage.backlash"),
     ],
 )
-def test_a_cause_whose_null_values_change_the_bench_is_refused(bench, own, change, where):
+def test_a_cause_whose_null_values_change_the_bench_is_refused(
+    bench, own: Callable[[str], str], change: str, where: str
+) -> None:
     given = replace(bench, stage=replace(bench.stage, backlash=np.zeros(2)))
     text = GOOD.replace('changed("camera", "centre_px", lambda old, deg: old + deg)', change).replace(
         "CAUSES = [", f"{HELPERS}\n\nCAUSES = ["
@@ -157,7 +163,9 @@ def test_a_cause_whose_null_values_change_the_bench_is_refused(bench, own, chang
         ("s[0] * t", r"returns shape \(2, 1\) for 2 places; it must return \(2, 2\)"),
     ],
 )
-def test_an_effect_that_no_file_can_state_or_that_never_vanishes_is_refused(bench, own, function, sentence):
+def test_an_effect_that_no_file_can_state_or_that_never_vanishes_is_refused(
+    bench: Bench, own: Callable[[str], str], function: str, sentence: str
+) -> None:
     change = (
         "lambda bench, s: replace(bench, effects=(BenchEffect.of_function('time', 'shift', lambda t: F, [0], [9]),))"
     )
@@ -179,7 +187,7 @@ def in_place(bench, values):
 """
 
 
-def test_a_cause_that_fails_at_some_values_refuses_these(bench, own):
+def test_a_cause_that_fails_at_some_values_refuses_these(bench: Bench, own: Callable[[str], str]) -> None:
     """A fit then takes a shorter step, as with a headset that cannot be traced."""
     text = GOOD.replace("lambda old, deg: old + deg", "lambda old, deg: old + [10, 20][int(deg[0])] * deg")
     cause = causes_for(bench, [own(text)])["lens_hood"]

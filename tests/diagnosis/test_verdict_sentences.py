@@ -2,19 +2,26 @@
 
 import re
 import tomllib
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from diagnosis.small_session import SIGMA_PX, diagnosed, measured, with_motions, with_moved_capture
+from present import present
 
+from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_file import load_bench, save_bench
+from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis import tables
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate, Unexplained
 from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse, Refitted, Rendered
+from wlr_render.diagnosis.report import Diagnosis
 from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.diagnosis.verdict_sentences import advice, bench_sentence, value_text, values_to_type, verdict_sentence
@@ -25,7 +32,7 @@ from wlr_render.report.blocks import cell_text
 OTHER = "tracking_translation"
 
 
-def test_the_sentence_names_causes_values_and_the_change(explained):
+def test_the_sentence_names_causes_values_and_the_change(explained: Diagnosis) -> None:
     sentence = verdict_sentence(explained)
     assert sentence.startswith("Explained: combiner tilted (combiner_tilt: tilt_y -0.")
     assert " more value" in sentence.partition("; ")[0]
@@ -36,12 +43,12 @@ def test_the_sentence_names_causes_values_and_the_change(explained):
     assert f"see-through residual {before}' -> {after}', expected {noise}'" in sentence
 
 
-def test_a_part_that_no_cause_touches_is_not_in_the_sentence(explained):
+def test_a_part_that_no_cause_touches_is_not_in_the_sentence(explained: Diagnosis) -> None:
     alone = replace(explained, after=replace(explained.after, display_rms_px=explained.before.display_rms_px))
     assert "display" not in verdict_sentence(alone)
 
 
-def test_other_verdicts_have_their_own_sentences(located, nothing, explained):
+def test_other_verdicts_have_their_own_sentences(located: Diagnosis, nothing: Diagnosis, explained: Diagnosis) -> None:
     assert verdict_sentence(nothing).startswith("No effect found: the bench as described predicts the session")
     assert advice(nothing) == [
         "Keep using the bench file; effects below the detection limits would not have been seen."
@@ -65,12 +72,12 @@ def test_other_verdicts_have_their_own_sentences(located, nothing, explained):
     assert "of the display part and of the see-through part" in advice(unexplained)[0]
 
 
-def test_an_effect_is_stated_with_its_place_its_rival_station_and_what_it_leaves(located):
+def test_an_effect_is_stated_with_its_place_its_rival_station_and_what_it_leaves(located: Diagnosis) -> None:
     effect = located.effects[0]
     unsure = replace(located, effects=(replace(effect, next_station="camera", odds_against_next_station=0.4),))
     assert "; the session hardly tells it from an effect in the camera" in verdict_sentence(unsure)
     assert any("To tell the panel from the camera: a photograph of the bare panel" in step for step in advice(unsure))
-    shape = {"form": "fine", "size": 310.0, "size_sigma": 20.0, "place": (-3.8, 2.8), "length": 2.4}
+    shape: dict[str, Any] = {"form": "fine", "size": 310.0, "size_sigma": 20.0, "place": (-3.8, 2.8), "length": 2.4}
     spot = replace(effect, station="combiner", **shape, unit="urad", length_unit="mm")
     said = verdict_sentence(replace(located, effects=(spot,)))
     assert "a spot of 310 +- 20 urad, 2.4 mm wide, 3.8 mm left of and 2.8 mm above the line of sight" in said
@@ -84,7 +91,7 @@ def test_an_effect_is_stated_with_its_place_its_rival_station_and_what_it_leaves
     assert "less than half" not in verdict_sentence(located)
 
 
-def test_noise_far_above_the_stated_one_is_said_before_the_residuals(nothing, explained):
+def test_noise_far_above_the_stated_one_is_said_before_the_residuals(nothing: Diagnosis, explained: Diagnosis) -> None:
     noisier = [replace(each, measured_px=2.0 * each.stated_px) for each in explained.noise_floors]
     head, noise, *_ = verdict_sentence(replace(explained, noise_floors=tuple(noisier))).split(". ")
     assert explained.causes[0].title in head.lower()
@@ -99,7 +106,7 @@ def test_noise_far_above_the_stated_one_is_said_before_the_residuals(nothing, ex
     assert said.startswith("No effect found, but the see-through readings are 2 times as noisy as the bench states")
 
 
-def test_repeatability_that_no_stage_has_and_parts_that_differ_are_warned_of(nothing):
+def test_repeatability_that_no_stage_has_and_parts_that_differ_are_warned_of(nothing: Diagnosis) -> None:
     """Two parts on one stage must repeat alike; a size within its error is no finding."""
     display, see_through = nothing.motions
     alike = replace(
@@ -118,7 +125,9 @@ def test_repeatability_that_no_stage_has_and_parts_that_differ_are_warned_of(not
     assert not any("um only" in each or "looks like motion" in each for each in unsure)
 
 
-def test_the_values_to_type_make_the_bench_file_that_of_the_corrected_bench(explained, tmp_path):
+def test_the_values_to_type_make_the_bench_file_that_of_the_corrected_bench(
+    explained: Diagnosis, tmp_path: Path
+) -> None:
     (line,) = values_to_type(explained)
     assert any(line in step for step in advice(explained))
     table, keys = line.split("] ", 1)
@@ -130,13 +139,13 @@ def test_the_values_to_type_make_the_bench_file_that_of_the_corrected_bench(expl
 
 
 @pytest.mark.parametrize("fails", ["above", "beside"])
-def test_a_cause_that_fails_beside_its_value_leaves_the_report(explained, fails):
+def test_a_cause_that_fails_beside_its_value_leaves_the_report(explained: Diagnosis, fails: str) -> None:
     """A cause of the user's own may be valid up to a limit; digits then follow from the other side, or all are kept."""
     explanation = explained.fit.explanation
     place = explanation.names.index("target_scale")
     hypothesis, found = explanation.hypotheses[place], explanation.values[place]
 
-    def refusing(perturb):
+    def refusing(perturb: Callable[..., Any]) -> Callable[[Any, Any], Any]:
         def limited(bench, values):
             if np.any(values > found) or (fails == "beside" and np.any(values < found)):
                 raise BadInputError("cause 'target_scale' fails in its variant 'as a whole' (ValueError: limit).")
@@ -155,7 +164,7 @@ def test_a_cause_that_fails_beside_its_value_leaves_the_report(explained, fails)
     assert any(line in step for step in advice(limited))
 
 
-def test_excluded_captures_and_wrong_noise_are_warned_of(explained, located):
+def test_excluded_captures_and_wrong_noise_are_warned_of(explained: Diagnosis, located: Diagnosis) -> None:
     assert [str(each.capture) for each in explained.excluded] == ["display capture 3"]
     assert any("Captures that moved were excluded (1)" in each for each in warnings(explained))
     assert advice(explained)[-1] == "Take again, or leave out: display capture 3."
@@ -169,8 +178,8 @@ def test_excluded_captures_and_wrong_noise_are_warned_of(explained, located):
     assert re.search(r"differs from the stated one: display by 10\d %\.", told)
 
 
-def test_a_degenerate_cause_is_measured_against_only_where_the_session_does_not_decide(explained):
-    def against(log10_odds):
+def test_a_degenerate_cause_is_measured_against_only_where_the_session_does_not_decide(explained: Diagnosis) -> None:
+    def against(log10_odds: float) -> Diagnosis:
         cause = replace(
             explained.causes[0],
             degenerate=(DegenerateCause(OTHER, 0.9876, "a nearer target"),),
@@ -193,10 +202,10 @@ def test_a_degenerate_cause_is_measured_against_only_where_the_session_does_not_
     assert odds == (["> 20"], ["0.4"])
 
 
-def test_a_value_is_compared_with_its_usual_size_or_the_prior_that_the_bench_states(explained):
+def test_a_value_is_compared_with_its_usual_size_or_the_prior_that_the_bench_states(explained: Diagnosis) -> None:
     nominal = replace(explained.observations.nominal, priors={"combiner_tilt": {"tilt_x": (9.1, 0.1)}})
 
-    def stated(value):
+    def stated(value: float) -> Diagnosis:
         odd = replace(explained.causes[0], parameters=(ParameterValue("tilt_x", value, 0.05, "deg", 0.1, 9.1),))
         return replace(explained, causes=(odd,), observations=replace(explained.observations, nominal=nominal))
 
@@ -213,7 +222,7 @@ def test_a_value_is_compared_with_its_usual_size_or_the_prior_that_the_bench_sta
     assert tables.parameters_table(explained).notes[-1].startswith("Parameters are in OpenXR axes")
 
 
-def test_the_motions_of_a_part_with_an_effect_are_no_repeatability(located):
+def test_the_motions_of_a_part_with_an_effect_are_no_repeatability(located: Diagnosis) -> None:
     """Wherever the effect raises noise or motions beyond what is usual, neither sentence nor table states them."""
     scatter = located.fit.scatter
     huge = replace(scatter, turn_urad=np.array([2642.0, *scatter.turn_urad[1:]]))
@@ -236,12 +245,12 @@ def test_the_motions_of_a_part_with_an_effect_are_no_repeatability(located):
     assert "not determined" not in bench_sentence(replace(found, verdict=ordinary))
 
 
-def test_values_have_two_digits_of_their_error():
+def test_values_have_two_digits_of_their_error() -> None:
     scale, index = ParameterValue("scale", -0.304421, 0.000604, "%", 0.3), ParameterValue("index", 0.01234, 0.0, "1", 1)
     assert [value_text(scale), value_text(index)] == ["scale -0.30442 +- 0.00060 %", "index 0.0123"]
 
 
-def test_tables_hold_the_numbers_of_the_record(explained, located, nothing):
+def test_tables_hold_the_numbers_of_the_record(explained: Diagnosis, located: Diagnosis, nothing: Diagnosis) -> None:
     rows = tables.causes_table(explained).text_rows()
     assert [row[0] for row in rows] == [cause.name for cause in explained.causes]
     assert f"{explained.causes[0].improvement.percent:.1f} +- " in rows[0][-1]
@@ -261,7 +270,7 @@ def test_tables_hold_the_numbers_of_the_record(explained, located, nothing):
     assert [(row[0], row[-1]) for row in moved] == [("display capture 3", "> 20")]
 
 
-def test_expected_residuals_are_those_of_noise_and_motions(bench, plan):
+def test_expected_residuals_are_those_of_noise_and_motions(bench: Bench, plan: SessionPlan) -> None:
     """A clean bench whose captures repeat to 80 um has the residual that is expected of it, and more than its noise."""
     observations = measured(bench, plan, SIGMA_PX, seed=8)
     motions = np.zeros((len(observations.captures), 6))
@@ -280,7 +289,7 @@ def test_expected_residuals_are_those_of_noise_and_motions(bench, plan):
     assert np.mean(np.abs(still.means) < still.band) < 0.5
 
 
-def test_too_many_captures_that_stand_out_are_listed_and_not_excluded(bench, plan):
+def test_too_many_captures_that_stand_out_are_listed_and_not_excluded(bench: Bench, plan: SessionPlan) -> None:
     observations = measured(bench, plan, SIGMA_PX, seed=9)
     for number in (1, 4, 5, 8, 10, 13, 16):
         observations = with_moved_capture(observations, bench, number)
@@ -295,7 +304,7 @@ def test_too_many_captures_that_stand_out_are_listed_and_not_excluded(bench, pla
     assert len(tables.excluded_table(found).rows) == 7
 
 
-def test_causes_of_one_remedy_share_its_sentence(explained):
+def test_causes_of_one_remedy_share_its_sentence(explained: Diagnosis) -> None:
     target = next(cause for cause in explained.causes if cause.name == "target_scale")
     two = replace(explained, causes=(target, replace(target, name="target_bow", title="bowed target")))
     remedy, values, *_ = advice(two)
@@ -304,7 +313,7 @@ def test_causes_of_one_remedy_share_its_sentence(explained):
     assert values.endswith("The corrected device is device.toml in the corrected session.")
 
 
-def test_improvement_in_use_is_tabulated_where_there_is_some():
+def test_improvement_in_use_is_tabulated_where_there_is_some() -> None:
     refitted = Refitted(1.06, 0.347, HeldOutImprovement(67.2, 0.7, 30.0))
     before, after = (Summary(rms, 0.1, 0.2, 0.3, 9, 0) for rms in (0.99, 0.169))
     table = tables.in_use_table(
@@ -314,10 +323,10 @@ def test_improvement_in_use_is_tabulated_where_there_is_some():
     assert table.notes[-1] == "s: no display table."
 
 
-def test_sentences_judge_by_the_settings_of_the_diagnosis(explained, located):
+def test_sentences_judge_by_the_settings_of_the_diagnosis(explained: Diagnosis, located: Diagnosis) -> None:
     """With higher odds asked for, what the residual depends on, and what is undecided, is another matter."""
 
-    def strict(diagnosis, **changes):
+    def strict(diagnosis: Diagnosis, **changes: Any):
         return replace(diagnosis, settings=replace(diagnosis.settings, **changes))
 
     cause = replace(
@@ -332,7 +341,7 @@ def test_sentences_judge_by_the_settings_of_the_diagnosis(explained, located):
     assert located.settings.subsample == 1200  # as `diagnose` was given
 
 
-def test_a_rotation_is_typed_in_full_but_in_no_sentence(explained):
+def test_a_rotation_is_typed_in_full_but_in_no_sentence(explained: Diagnosis) -> None:
     turned = CAUSES["camera_rotation"].perturb(explained.observations.nominal, np.array([0.2, -0.1, 0.3]))
     diagnosis = replace(explained, corrected=turned)
     (line,) = values_to_type(diagnosis)
@@ -342,11 +351,11 @@ def test_a_rotation_is_typed_in_full_but_in_no_sentence(explained):
     assert not any("[[" in step for step in advice(diagnosis))
 
 
-def test_values_to_type_have_the_digits_that_their_errors_allow(late):
+def test_values_to_type_have_the_digits_that_their_errors_allow(late: Diagnosis) -> None:
     """Two digits of the standard error."""
     (line,) = values_to_type(late)
     (latency,) = late.causes[0].parameters
-    typed = re.fullmatch(r"\[clock\] latency_s = (0\.\d+)", line)[1]
+    typed = present(re.fullmatch(r"\[clock\] latency_s = (0\.\d+)", line))[1]
     decimals = len(typed.partition(".")[2])
     assert 10 <= 1e-3 * latency.sigma * 10**decimals < 100
     assert float(typed) == pytest.approx(1e-3 * latency.value, abs=10.0**-decimals)

@@ -5,18 +5,21 @@ import pytest
 from diagnosis.small_session import measured, weighed
 from oracle.nature import smooth_field
 
+from wlr_render.bench.bench import Bench
+from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.observations import DISPLAY
 from wlr_render.diagnosis.weighed_readings import Whitening, shared_noise_whitening
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.scatter import Scatter
 
 
-def matrix(whitening, count):
+def matrix(whitening: Whitening, count: int) -> FloatArray:
     """The linear map of `count` readings as a dense matrix."""
     unit = np.eye(2 * count).reshape(count, 2, 2 * count)
     return whitening(unit).reshape(2 * count, 2 * count)
 
 
-def test_groups_with_common_errors_become_independent():
+def test_groups_with_common_errors_become_independent() -> None:
     rng = np.random.default_rng(1)
     rows = [np.array([4, 0, 7]), np.array([1, 2, 3, 5, 6])]
     effects = [rng.normal(size=(3, 2, 2)), 3.0 * rng.normal(size=(5, 2, 4))]
@@ -30,7 +33,7 @@ def test_groups_with_common_errors_become_independent():
     np.testing.assert_allclose(white(values), (found @ values.ravel()).reshape(9, 2))
 
 
-def test_then_composes(bench, plan):
+def test_then_composes(bench: Bench, plan: SessionPlan) -> None:
     """First the noise that neighbours share, then motions of what that leaves."""
     observations = measured(bench, plan)
     some = observations.of_rows(observations.group < 2)
@@ -48,7 +51,7 @@ def test_then_composes(bench, plan):
     np.testing.assert_allclose(second @ outer @ second.T, np.eye(len(outer)), atol=1e-8)
 
 
-def test_motions_of_captures_are_taken_apart(bench, plan):
+def test_motions_of_captures_are_taken_apart(bench: Bench, plan: SessionPlan) -> None:
     observations = measured(bench, plan)
     some = observations.of_rows(np.isin(observations.group, [0, 1, 20]))
     readings = weighed(some)
@@ -67,7 +70,7 @@ def test_motions_of_captures_are_taken_apart(bench, plan):
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7])
-def test_a_field_that_neighbours_share_is_whitened(bench, plan, share):
+def test_a_field_that_neighbours_share_is_whitened(bench: Bench, plan: SessionPlan, share: float) -> None:
     """The oracle's field is no draw of the model's: of what is smooth, the variance is nearly one after whitening."""
     observations = measured(bench, plan)
     observations = observations.of_rows(observations.part == DISPLAY)
@@ -89,7 +92,7 @@ def test_a_field_that_neighbours_share_is_whitened(bench, plan, share):
     assert np.mean(np.square(left)) == pytest.approx(1.0, abs=0.35)
 
 
-def test_nothing_shared_leaves_values_as_they_are(bench, plan):
+def test_nothing_shared_leaves_values_as_they_are(bench: Bench, plan: SessionPlan) -> None:
     observations = measured(bench, plan)
     values = np.random.default_rng(1).normal(size=(len(observations), 2, 3))
     readings = weighed(observations)

@@ -1,8 +1,12 @@
 """Layers of a frame against closed forms, and against what the rasterised frame shows."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 from gl_scenes import at, cube, lit, quad, unlit
+from numpy.typing import NDArray
+from present import present
 
 from wlr_render.draw.frame_layers import INSTANCE, LAYERS, frame_layers
 from wlr_render.draw.painters import TracedPainter
@@ -10,7 +14,11 @@ from wlr_render.draw.raster_painter import WarpedPainter
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.draw.scene_raster import SceneRaster
 from wlr_render.geometry import directions, rays, transforms
+from wlr_render.gl.context import GlContext
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.srgb import decode_srgb
+from wlr_render.scene.scene import Scene
 from wlr_render.scene.shapes import construction
 from wlr_render.warp.ray_map import choose_plan, ray_map
 
@@ -18,22 +26,24 @@ OFF_CENTRE = np.array([0.7, -0.9, 0.8])
 HEAD_POSE = at(0.1, 1.5, 0.3, transforms.rotation_about("y", 0.5) @ transforms.rotation_about("x", -0.1))
 
 
-def vectors(channels, name, axes="XYZ"):
+def vectors(channels: Mapping[str, Float32Array | NDArray[np.uint32]], name: str, axes: str = "XYZ") -> FloatArray:
     return np.stack([channels[f"{name}.{axis}"] for axis in axes], axis=-1).astype(float)
 
 
-def layers_of(headset, scene, viewpoint, layers=LAYERS):
+def layers_of(
+    headset: Eye, scene: Scene, viewpoint: FloatArray, layers: tuple[str, ...] = LAYERS
+) -> dict[str, Float32Array | NDArray[np.uint32]]:
     rays_of_pixels = ray_map(headset, viewpoint, choose_plan(headset))
     return frame_layers(RayRenderer(scene), rays_of_pixels, HEAD_POSE, layers)
 
 
-def exact_rays(headset, viewpoint):
+def exact_rays(headset: Eye, viewpoint: FloatArray) -> tuple[FloatArray, FloatArray]:
     """World origins and unit directions of all pixels, from the mappings."""
     view_dir = headset.display.view_dir_of_pixel(headset.display.panel.pixel_centres(), viewpoint).value
     return rays.split(rays.transformed(HEAD_POSE, headset.see_through.real_ray_of_view_dir(view_dir, viewpoint).value))
 
 
-def test_a_tilted_plane_has_the_depth_position_and_normal_of_the_closed_form(toy_headset):
+def test_a_tilted_plane_has_the_depth_position_and_normal_of_the_closed_form(toy_headset: Eye) -> None:
     viewpoint, turn = toy_headset.eye_box.at(OFF_CENTRE), transforms.rotation_about("y", 0.4)
     world_from_wall = HEAD_POSE @ at(0.2, 0.1, -2.5, turn)
     channels = layers_of(toy_headset, unlit((quad((-9, -9), (9, 9)), world_from_wall)), viewpoint)
@@ -51,7 +61,7 @@ def test_a_tilted_plane_has_the_depth_position_and_normal_of_the_closed_form(toy
     assert (channels["depth.distance"] - channels["depth.Z"]).max() > 0.1
 
 
-def test_a_sphere_has_its_analytic_points_and_normals(toy_headset):
+def test_a_sphere_has_its_analytic_points_and_normals(toy_headset: Eye) -> None:
     viewpoint, radius = toy_headset.eye_box.centre, 0.3
     world_from_ball = HEAD_POSE @ at(0.05, 0.02, -1.2)
     channels = layers_of(toy_headset, unlit((construction.sphere(radius, segments=400), world_from_ball)), viewpoint)
@@ -75,7 +85,7 @@ def test_a_sphere_has_its_analytic_points_and_normals(toy_headset):
         assert not values[outside].any(), name
 
 
-def test_instances_are_numbered_as_in_the_scene_and_albedo_has_no_light(toy_headset):
+def test_instances_are_numbered_as_in_the_scene_and_albedo_has_no_light(toy_headset: Eye) -> None:
     tile = quad((-0.2, -0.2), (0.2, 0.2), base_colour=np.array([0.5, 0.25, 0.125], np.float32))
     placed = [
         (tile, HEAD_POSE @ at(0.3, 0, -2)),
@@ -92,7 +102,9 @@ def test_instances_are_numbered_as_in_the_scene_and_albedo_has_no_light(toy_head
 
 
 @pytest.mark.gl
-def test_rastered_and_ray_traced_frames_have_the_same_layers_and_show_them(toy_headset, gl_context):
+def test_rastered_and_ray_traced_frames_have_the_same_layers_and_show_them(
+    toy_headset: Eye, gl_context: GlContext
+) -> None:
     viewpoint = toy_headset.eye_box.at(OFF_CENTRE)
     wall = construction.plane(9, 7, (0.3, 0.4, 0.5))
     scene = unlit((wall, HEAD_POSE @ at(0, 0, -3)), (construction.ball(0.12), HEAD_POSE @ at(0.05, 0, -0.8)))
@@ -108,7 +120,7 @@ def test_rastered_and_ray_traced_frames_have_the_same_layers_and_show_them(toy_h
     around = np.lib.stride_tricks.sliding_window_view(np.pad(of_drawn[INSTANCE], 2, mode="edge"), (5, 5))
     settled = around.max(axis=(-2, -1)) == around.min(axis=(-2, -1))
     assert settled.mean() > 0.8
-    points = drawn.position.astype(float), vectors(of_drawn, "position")
+    points = present(drawn.position).astype(float), vectors(of_drawn, "position")
     assert np.median(np.linalg.norm(points[0] - points[1], axis=-1)) < 1e-5
     eye = transforms.apply(HEAD_POSE, viewpoint)
     seen = [directions.normalised(point[settled] - eye) for point in points]
@@ -118,7 +130,7 @@ def test_rastered_and_ray_traced_frames_have_the_same_layers_and_show_them(toy_h
     assert np.abs(decode_srgb(traced.colour) - vectors(of_traced, "albedo", "RGB")).max() < 0.005
 
 
-def test_only_what_is_asked_for_is_computed_and_pixels_without_a_ray_show_nothing(toy_headset):
+def test_only_what_is_asked_for_is_computed_and_pixels_without_a_ray_show_nothing(toy_headset: Eye) -> None:
     scene = unlit((quad((-9, -9), (9, 9)), HEAD_POSE @ at(0, 0, -2)))
     rays_of_pixels = ray_map(toy_headset, toy_headset.eye_box.centre, choose_plan(toy_headset))
     rays_of_pixels.slope_offset[:, 3, 5] = np.nan

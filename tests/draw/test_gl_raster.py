@@ -8,24 +8,27 @@ from gl_scenes import at, cube, quad, unlit, view
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.gl.context import GlContext
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.view import GeometryImage
 
 pytestmark = pytest.mark.gl
 
 CAMERA = gl_scenes.OFF_CENTRE
 
 
-def srgb(linear):
+def srgb(linear: FloatArray | float) -> FloatArray | float:
     linear = np.asarray(linear, float)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055) * 255
 
 
-def positions(image):
+def positions(image: GeometryImage) -> FloatArray:
     """The points that a picture of `CAMERA` from the origin shows, (height, width, 3)."""
     tangents = CAMERA.pixel_centre_tangents()
     return np.concatenate([tangents, -np.ones((*tangents.shape[:2], 1))], axis=-1) / image.inverse_depth[..., None]
 
 
-def test_a_rectangle_lands_on_its_analytic_pixels_right_way_up(gl_context):
+def test_a_rectangle_lands_on_its_analytic_pixels_right_way_up(gl_context: GlContext) -> None:
     # Edges at pixel borders: columns 10..29, rows 5..19, in a plane 2 m away, red in green.
     corners = CAMERA.tangents_of_pixel(np.array([[10.0, 20.0], [30.0, 5.0]])) * 2.0
     red = quad(*corners, base_colour=np.array([1, 0, 0], np.float32))
@@ -38,7 +41,9 @@ def test_a_rectangle_lands_on_its_analytic_pixels_right_way_up(gl_context):
 
 
 @pytest.mark.parametrize("viewpoint", [(0.0, 0.0, 0.0), (0.03, -0.02, 0.01)])
-def test_inverse_depth_of_a_tilted_plane_is_the_closed_form(gl_context, viewpoint):
+def test_inverse_depth_of_a_tilted_plane_is_the_closed_form(
+    gl_context: GlContext, viewpoint: tuple[float, float, float]
+) -> None:
     turn = transforms.rotation_about("y", 0.7) @ transforms.rotation_about("x", -0.4)
     head = transforms.rigid(transforms.rotation_about("y", 0.2), np.array([100.0, 1.6, -250.0]))
     wall = head @ at(0.1, 0.2, -1.5, turn)
@@ -50,7 +55,7 @@ def test_inverse_depth_of_a_tilted_plane_is_the_closed_form(gl_context, viewpoin
     np.testing.assert_allclose(image.inverse_depth, expected, rtol=1e-6)
 
 
-def test_instances_of_a_shared_mesh_lie_each_in_its_place(gl_context):
+def test_instances_of_a_shared_mesh_lie_each_in_its_place(gl_context: GlContext) -> None:
     tile = quad((-0.1, -0.1), (0.1, 0.1))
     scene = unlit((tile, at(-0.6, 0, -2)), (tile, at(0.3, 0, -4)))
     seen = GlRaster(gl_context, scene).draw(view()).inverse_depth
@@ -60,7 +65,7 @@ def test_instances_of_a_shared_mesh_lie_each_in_its_place(gl_context):
     assert (np.abs(4 * tangents[seen == 0.25] - [0.3, 0]) < 0.1).all()
 
 
-def test_the_nearer_cube_hides_the_farther_whichever_is_drawn_first(gl_context):
+def test_the_nearer_cube_hides_the_farther_whichever_is_drawn_first(gl_context: GlContext) -> None:
     near, far = (cube(0.4), at(-0.1, 0, -1.5)), (cube(1.2), at(-0.3, 0, -3))
     frames = [GlRaster(gl_context, unlit(*pair)).draw(view()) for pair in ((near, far), (far, near))]
     np.testing.assert_array_equal(frames[0].colour, frames[1].colour)
@@ -69,7 +74,7 @@ def test_the_nearer_cube_hides_the_farther_whichever_is_drawn_first(gl_context):
     np.testing.assert_allclose(frames[0].inverse_depth[centre[1], centre[0]], 1 / 1.3, rtol=1e-6)
 
 
-def test_a_texture_is_upright_and_not_mirrored(gl_context):
+def test_a_texture_is_upright_and_not_mirrored(gl_context: GlContext) -> None:
     texture = np.zeros((2, 2, 3), np.uint8)
     texture[0, 0], texture[0, 1], texture[1, 0] = [255, 0, 0], [0, 255, 0], [0, 0, 255]
     # Two by two pixels whose centres are the texels' centres.
@@ -78,7 +83,7 @@ def test_a_texture_is_upright_and_not_mirrored(gl_context):
     np.testing.assert_array_equal(GlRaster(gl_context, scene).draw(view(camera)).colour, texture)
 
 
-def test_textures_are_filtered_in_linear_light(gl_context):
+def test_textures_are_filtered_in_linear_light(gl_context: GlContext) -> None:
     texture = np.zeros((1, 2, 3), np.uint8)
     texture[0, 1] = 255
     camera = Pinhole(9, 9, np.array([-0.5, -0.5]), np.array([0.5, 0.5]))
@@ -89,7 +94,7 @@ def test_textures_are_filtered_in_linear_light(gl_context):
 
 
 @pytest.mark.parametrize("side", [0.0, np.pi])
-def test_lights_follow_the_stated_law_on_both_sides(gl_context, side):
+def test_lights_follow_the_stated_law_on_both_sides(gl_context: GlContext, side: float) -> None:
     turn = transforms.rotation_about("y", side)
     albedo = np.array([0.5, 0.6, 0.7], np.float32)
     scene = gl_scenes.lit((quad((-9, -9), (9, 9), base_colour=albedo), at(0, 0, -2, turn)))
@@ -101,7 +106,7 @@ def test_lights_follow_the_stated_law_on_both_sides(gl_context, side):
     np.testing.assert_allclose(image.colour, srgb(np.clip(albedo * light, 0, 1)), atol=0.51)
 
 
-def test_a_moved_viewpoint_and_a_new_size_redraw_everything(gl_context):
+def test_a_moved_viewpoint_and_a_new_size_redraw_everything(gl_context: GlContext) -> None:
     scene = unlit((cube(), at(0, 0, -2)))
     raster = GlRaster(gl_context, scene)
     first = raster.draw(view())
@@ -114,7 +119,7 @@ def test_a_moved_viewpoint_and_a_new_size_redraw_everything(gl_context):
     np.testing.assert_array_equal(first.inverse_depth, on_gpu.inverse_depth)
 
 
-def test_normals_under_a_non_uniform_scale_stay_perpendicular(gl_context):
+def test_normals_under_a_non_uniform_scale_stay_perpendicular(gl_context: GlContext) -> None:
     pose = at(0, 0, -2, transforms.rotation_about("y", 0.6)) @ np.diag([3.0, 3.0, 0.2, 1.0])
     tilted = transforms.rotation_about("x", 0.8)
     mesh = quad((-2, -2), (2, 2))
@@ -129,7 +134,7 @@ def test_normals_under_a_non_uniform_scale_stay_perpendicular(gl_context):
     np.testing.assert_allclose(image.colour[:-1, :-1], srgb(light), atol=1)
 
 
-def test_pictures_of_two_names_do_not_overwrite_each_other(gl_context):
+def test_pictures_of_two_names_do_not_overwrite_each_other(gl_context: GlContext) -> None:
     raster = GlRaster(gl_context, unlit((cube(0.6), at(0, 0, -2))))
     left, right = view(viewpoint=(-0.03, 0.0, 0.0)), view(viewpoint=(0.03, 0.0, 0.0))
     pictures = [raster.draw_on_gpu(left, "left"), raster.draw_on_gpu(right, "right")]

@@ -3,12 +3,17 @@
 import ctypes.util
 import os
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 from gl_scenes import at, quad, shipped_scene, unlit
 from glb_writer import save_glb
+from present import present
 
 from wlr_render.draw import mitsuba_frames
 from wlr_render.draw.mitsuba_frames import PathTracedPainter, PathTracer
@@ -16,8 +21,10 @@ from wlr_render.draw.painters import TracedPainter
 from wlr_render.draw.ray_intersections import SceneTracer
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.extras import MissingExtraError
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import Float32Array
 from wlr_render.numerics.srgb import decode_srgb, encode_srgb
-from wlr_render.scene.scene import LightSource
+from wlr_render.scene.scene import LightSource, Mesh, Scene
 from wlr_render.scene.scene_file import load_scene
 from wlr_render.scene.shapes import construction
 
@@ -25,7 +32,7 @@ BLACK = np.zeros(3, np.float32)
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def fan_of_rays(height=200, width=180):
+def fan_of_rays(height: int = 200, width: int = 180) -> tuple[Float32Array, Float32Array]:
     """(height, width, 3) directions and (3,) origin: a view of the shipped scenes, and beyond their edges."""
     x, y = np.meshgrid(np.linspace(-0.75, 0.75, width), np.linspace(0.6, -0.9, height))
     direction = np.stack([x, y, -np.ones_like(x)], axis=-1)
@@ -33,13 +40,13 @@ def fan_of_rays(height=200, width=180):
     return np.array([0.01, 0.02, 0.03], np.float32), direction.astype(np.float32)
 
 
-def with_one_light(scene, light):
+def with_one_light(scene: Scene, light: LightSource) -> Scene:
     return replace(scene, ambient=BLACK, lights=(light,))
 
 
 @pytest.mark.parametrize("name", ["sculpture", "desk"])
 @pytest.mark.slow
-def test_hits_are_those_of_embree(mitsuba, name):
+def test_hits_are_those_of_embree(mitsuba: ModuleType, name: str) -> None:
     scene = shipped_scene(name)
     origin, direction = fan_of_rays()
     flat = direction.reshape(-1, 3).copy()
@@ -56,7 +63,7 @@ def test_hits_are_those_of_embree(mitsuba, name):
 
 @pytest.mark.parametrize("name", ["sculpture", "desk"])
 @pytest.mark.slow
-def test_under_one_light_the_picture_is_ours_with_shadows_but_for_their_edges(mitsuba, name):
+def test_under_one_light_the_picture_is_ours_with_shadows_but_for_their_edges(mitsuba: ModuleType, name: str) -> None:
     """Textures, vertex colours, their product, smooth normals, turned placements, both kinds of light."""
     origin, direction = fan_of_rays()
     for light in shipped_scene(name).lights:
@@ -68,7 +75,7 @@ def test_under_one_light_the_picture_is_ours_with_shadows_but_for_their_edges(mi
         assert (difference > 1).mean() < 0.003
 
 
-def test_a_plane_under_the_sky_reflects_all_of_the_ambient_light(mitsuba):
+def test_a_plane_under_the_sky_reflects_all_of_the_ambient_light(mitsuba: ModuleType) -> None:
     albedo, background = np.array([0.2, 0.5, 0.8], np.float32), (0.3, 0.1, 0.6)
     scene = unlit((quad((-1, -1), (1, 1), base_colour=albedo), at(0, 0, -2)), background=background)
     direction = np.tile(np.array([[0, 0, -1], [0, 0, 1], [0, np.nan, -1]], np.float32), (20_000, 1))
@@ -78,7 +85,7 @@ def test_a_plane_under_the_sky_reflects_all_of_the_ambient_light(mitsuba):
 
 
 @pytest.mark.slow
-def test_a_glb_is_traced_as_the_scene_that_it_was_written_from(mitsuba, tmp_path):
+def test_a_glb_is_traced_as_the_scene_that_it_was_written_from(mitsuba: ModuleType, tmp_path: Path) -> None:
     scene = shipped_scene("sculpture")
     written = load_scene(save_glb(scene, tmp_path / "scene.glb"))
     shift = written.bounds.mean(axis=0) - scene.bounds.mean(axis=0)
@@ -95,14 +102,16 @@ def test_a_glb_is_traced_as_the_scene_that_it_was_written_from(mitsuba, tmp_path
     assert (np.abs(pictures[1] - pictures[0]).max(axis=-1) > 2).mean() < 0.01
 
 
-def bright(**material):
+def bright(**material: Any) -> Mesh:
     """A square whose base colour is 3."""
     return quad((-1, -1), (1, 1), base_colour=np.full(3, 3.0, np.float32), **material)
 
 
 @pytest.mark.parametrize("code", [255, 118])
 @pytest.mark.parametrize("colour", [1.0, 0.6])
-def test_albedo_is_the_product_of_all_three_colours_and_at_most_one(mitsuba, code, colour):
+def test_albedo_is_the_product_of_all_three_colours_and_at_most_one(
+    mitsuba: ModuleType, code: int, colour: float
+) -> None:
     texture, vertex = {"texture": np.full((2, 2, 3), code, np.uint8)}, {"vertex_colour": np.full((4, 3), colour, "f4")}
     texel, light = decode_srgb(texture["texture"]).max(), LightSource("directional", -UP, np.full(3, 0.4, np.float32))
     for material, product in (({}, 1), (texture, texel), (vertex, colour), (texture | vertex, texel * colour)):
@@ -112,7 +121,7 @@ def test_albedo_is_the_product_of_all_three_colours_and_at_most_one(mitsuba, cod
 
 
 @pytest.mark.parametrize("bounces", [0, 1, 3])
-def test_light_in_a_closed_sphere_is_that_of_an_integrating_sphere(mitsuba, bounces):
+def test_light_in_a_closed_sphere_is_that_of_an_integrating_sphere(mitsuba: ModuleType, bounces: int) -> None:
     """Every reflection adds the albedo's share of the one before, evenly over the sphere."""
     albedo, radius = 0.7, 2.0
     sphere = construction.sphere(radius, (albedo,) * 3, segments=96)
@@ -125,7 +134,7 @@ def test_light_in_a_closed_sphere_is_that_of_an_integrating_sphere(mitsuba, boun
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads(mitsuba):
+def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads(mitsuba: ModuleType) -> None:
     import drjit
 
     tracer, (origin, direction) = PathTracer(shipped_scene("desk")), fan_of_rays(60, 50)
@@ -140,24 +149,27 @@ def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads(mitsuba):
     assert (tracer.light(*rays, 12) != first).any(axis=1).mean() > 0.5
 
 
-def scene_with_a_ball():
+def scene_with_a_ball() -> Scene:
     light = LightSource("directional", np.array([0.48, -0.6, -0.64]), np.full(3, 0.9, np.float32))
     wall, ball = construction.plane(9, 7, (0.3, 0.4, 0.5)), construction.ball(0.12)
     return with_one_light(unlit((wall, at(0, 0, -3)), (ball, at(0.05, 0, -0.8)), background=(0.1, 0.2, 0.3)), light)
 
 
-def test_one_path_through_the_centre_of_each_pixel_is_the_ray_traced_frame(mitsuba, toy_headset_with_hole):
+def test_one_path_through_the_centre_of_each_pixel_is_the_ray_traced_frame(
+    mitsuba: ModuleType, toy_headset_with_hole: Eye
+) -> None:
     eye, scene = toy_headset_with_hole, scene_with_a_ball()
     viewpoint, pose = eye.eye_box.centre + [0.001, -0.002, 0.001], at(0.01, 0.02, 0.03)
     painters = TracedPainter(eye, RayRenderer(scene), shadows=True), PathTracedPainter(eye, PathTracer(scene, 0), 1)
     ours, path = (painter.paint(viewpoint, pose, with_geometry=True) for painter in painters)
-    np.testing.assert_allclose(path.position, ours.position, atol=1e-5)
+    assert path.position is not None
+    np.testing.assert_allclose(path.position, present(ours.position), atol=1e-5)
     assert np.isnan(path.position).any()
     assert (np.abs(path.colour.astype(int) - ours.colour).max(axis=-1) > 1).mean() < 0.01
 
 
 @pytest.mark.slow
-def test_many_paths_supersample_edges_and_converge(mitsuba, toy_headset):
+def test_many_paths_supersample_edges_and_converge(mitsuba: ModuleType, toy_headset: Eye) -> None:
     """Direct light from one source has no noise: what is left is where in the pixel the paths begin."""
     scene, viewpoint = scene_with_a_ball(), toy_headset.eye_box.centre
     traced = TracedPainter(toy_headset, RayRenderer(scene), supersample=8, shadows=True).paint(viewpoint, np.eye(4))
@@ -170,7 +182,7 @@ def test_many_paths_supersample_edges_and_converge(mitsuba, toy_headset):
     assert errors[1] < 0.2 * errors[0]
 
 
-def test_each_colour_has_rays_of_its_own_and_frames_repeat(mitsuba, toy_headset):
+def test_each_colour_has_rays_of_its_own_and_frames_repeat(mitsuba: ModuleType, toy_headset: Eye) -> None:
     scene, viewpoint = scene_with_a_ball(), toy_headset.eye_box.centre
     moved = replace(toy_headset, see_through=replace(toy_headset.see_through, prism=0.02))
     tracer = PathTracer(scene)
@@ -184,13 +196,13 @@ def test_each_colour_has_rays_of_its_own_and_frames_repeat(mitsuba, toy_headset)
 
 
 @pytest.fixture
-def llvm_not_chosen():
+def llvm_not_chosen() -> Iterator[None]:
     mitsuba_frames._choose_llvm.cache_clear()
     yield
     mitsuba_frames._choose_llvm.cache_clear()
 
 
-def test_without_mitsuba_a_sentence_has_the_command(monkeypatch, llvm_not_chosen):
+def test_without_mitsuba_a_sentence_has_the_command(monkeypatch: pytest.MonkeyPatch, llvm_not_chosen: None) -> None:
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     with pytest.raises(MissingExtraError, match=r"^Path tracing: mitsuba is not installed.*'mitsuba>="):
         PathTracer(scene_with_a_ball())
@@ -201,13 +213,15 @@ def test_without_mitsuba_a_sentence_has_the_command(monkeypatch, llvm_not_chosen
     [("there.is.none.so", "cannot be loaded"), (ctypes.util.find_library("c"), "is older")],
     ids=["missing", "no version"],
 )
-def test_an_llvm_that_mitsuba_cannot_use_is_refused_by_name(monkeypatch, llvm_not_chosen, library, fault):
+def test_an_llvm_that_mitsuba_cannot_use_is_refused_by_name(
+    monkeypatch: pytest.MonkeyPatch, llvm_not_chosen: None, library: str, fault: str
+) -> None:
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", library)
     with pytest.raises(MissingExtraError, match=f"needs LLVM 19 or newer, and {library} {fault}; install it"):
         mitsuba_frames._choose_llvm()
 
 
-def test_the_newest_llvm_is_chosen(monkeypatch, tmp_path, llvm_not_chosen):
+def test_the_newest_llvm_is_chosen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, llvm_not_chosen: None) -> None:
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
     monkeypatch.setattr(mitsuba_frames, "_LLVM_FILES", {})
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
@@ -221,8 +235,8 @@ def test_the_newest_llvm_is_chosen(monkeypatch, tmp_path, llvm_not_chosen):
 
 
 def test_homebrews_folders_tell_the_version_and_a_library_that_does_not_load_is_passed_over(
-    monkeypatch, tmp_path, llvm_not_chosen
-):
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, llvm_not_chosen: None
+) -> None:
     """All of Homebrew's libraries have one name; opt/llvm is a link to its newest version."""
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "")
     paths = {version: tmp_path / "opt" / f"llvm@{version}" / "lib" / "libLLVM.dylib" for version in (16, 9, 19)}
@@ -235,7 +249,7 @@ def test_homebrews_folders_tell_the_version_and_a_library_that_does_not_load_is_
     monkeypatch.setattr(mitsuba_frames, "_LLVM_FILES", {sys.platform: (f"{tmp_path}/opt/llvm*/lib/libLLVM*.dylib",)})
     asked = []
 
-    def version_of(path):
+    def version_of(path: Path) -> int | None:
         asked.append(path)
         return {paths[19]: 19, paths[16]: 16}.get(path)  # the newest does not load
 

@@ -5,17 +5,18 @@ from gl_scenes import at, cube, quad, unlit
 from wlr_render.draw import ray_intersections
 from wlr_render.draw.ray_intersections import SceneTracer
 from wlr_render.geometry import directions, transforms
-from wlr_render.scene.scene import Mesh, world_positions
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.scene.scene import Mesh, Scene, world_positions
 
 
-def squashed(x, y, z):
+def squashed(x: float, y: float, z: float) -> FloatArray:
     """A pose that turns, and scales each axis differently."""
     matrix = at(x, y, z, transforms.rotation_about("y", 0.4))
     matrix[:3, :3] = matrix[:3, :3] @ np.diag([0.5, 1.5, 0.8])
     return matrix
 
 
-def some_rays(count=2000, seed=1):
+def some_rays(count: int = 2000, seed: int = 1) -> tuple[Float32Array, Float32Array]:
     """Rays from a small box around the origin that look forwards; float32 values, so that nothing is rounded."""
     rng = np.random.default_rng(seed)
     origin = rng.uniform(-0.1, 0.1, (count, 3)).astype(np.float32)
@@ -31,7 +32,7 @@ SCENE = unlit(
 )
 
 
-def brute_force(scene, origin, direction):
+def brute_force(scene: Scene, origin: FloatArray, direction: FloatArray) -> FloatArray:
     """Every ray against every triangle in float64 (Moller and Trumbore 1997): distance, instance, triangle, u, v."""
     best = np.full((5, len(direction)), -1.0)
     best[0] = np.inf
@@ -50,7 +51,7 @@ def brute_force(scene, origin, direction):
     return best
 
 
-def test_hits_are_those_of_every_triangle_tried():
+def test_hits_are_those_of_every_triangle_tried() -> None:
     origin, direction = some_rays()
     hits = SceneTracer(SCENE).intersect(origin, direction)
     distance, instance, triangle, u, v = brute_force(SCENE, origin.astype(float), direction.astype(float))
@@ -66,14 +67,14 @@ def test_hits_are_those_of_every_triangle_tried():
     np.testing.assert_allclose(hits.barycentric_v[clear], v[clear], atol=2e-5)
 
 
-def test_distance_is_in_lengths_of_the_direction():
+def test_distance_is_in_lengths_of_the_direction() -> None:
     tracer = SceneTracer(unlit((quad((-9, -9), (9, 9)), at(0, 0, -3))))
     hits = tracer.intersect(np.zeros(3), [[0.2, 0.1, -1.0], [0.4, 0.2, -2.0]])
     np.testing.assert_allclose(hits.distance, [3.0, 1.5], rtol=1e-6)
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2)])
-def test_any_leading_shape(shape):
+def test_any_leading_shape(shape: tuple[int, ...]) -> None:
     origin, direction = some_rays(max(1, int(np.prod(shape))))
     tracer = SceneTracer(SCENE)
     flat = tracer.intersect(origin, direction)
@@ -84,7 +85,7 @@ def test_any_leading_shape(shape):
     assert tracer.occluded(origin, direction, 9.0).shape == shape
 
 
-def test_one_origin_serves_all_directions():
+def test_one_origin_serves_all_directions() -> None:
     _, direction = some_rays(50)
     tracer = SceneTracer(SCENE)
     origin = np.array([0.05, 0.0, 0.0], np.float32)
@@ -94,7 +95,7 @@ def test_one_origin_serves_all_directions():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_rays_that_are_not_finite_miss_and_leave_the_others_alone(bad):
+def test_rays_that_are_not_finite_miss_and_leave_the_others_alone(bad: float) -> None:
     origin, direction = some_rays(300)
     tracer = SceneTracer(SCENE)
     clean = tracer.intersect(origin, direction)
@@ -114,7 +115,7 @@ def test_rays_that_are_not_finite_miss_and_leave_the_others_alone(bad):
     assert not still[1::3].any()
 
 
-def test_the_last_hit_of_a_ray_occludes_what_lies_beyond_it_only():
+def test_the_last_hit_of_a_ray_occludes_what_lies_beyond_it_only() -> None:
     origin, direction = some_rays()
     tracer = SceneTracer(SCENE)
     distance = tracer.intersect(origin, direction).distance
@@ -124,7 +125,7 @@ def test_the_last_hit_of_a_ray_occludes_what_lies_beyond_it_only():
     assert not tracer.occluded(origin, direction, np.where(hit, distance * 0.999, 1.0)).any()
 
 
-def test_no_ray_slips_through_an_edge():
+def test_no_ray_slips_through_an_edge() -> None:
     # A closed tent around the origin with many edges, and rays from within aimed at the middles of those.
     angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
@@ -137,7 +138,7 @@ def test_no_ray_slips_through_an_edge():
     assert (hits.instance == 0).all()
 
 
-def test_blocks_and_threads_change_nothing(monkeypatch):
+def test_blocks_and_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     origin, direction = some_rays(3000)
     direction[::50] = np.nan
     tracer = SceneTracer(SCENE)
@@ -148,6 +149,6 @@ def test_blocks_and_threads_change_nothing(monkeypatch):
         np.testing.assert_array_equal(getattr(cut, name), getattr(whole, name))
 
 
-def test_no_rays_and_no_instances():
+def test_no_rays_and_no_instances() -> None:
     assert SceneTracer(SCENE).intersect(np.zeros((0, 3)), np.zeros((0, 3))).distance.shape == (0,)
     assert SceneTracer(unlit()).intersect(np.zeros(3), [[0.0, 0.0, -1.0]]).instance.tolist() == [-1]

@@ -1,5 +1,7 @@
 """Which OpenGL a scene is drawn with, and what happens where there is none."""
 
+from typing import NoReturn
+
 import numpy as np
 import pytest
 from cpu_raster import raster_on_cpu
@@ -9,20 +11,22 @@ from wlr_render.draw.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
 from wlr_render.gl import gl
+from wlr_render.gl.context import GlContext
+from wlr_render.scene.scene import Scene
 
 TEXTURE = np.random.default_rng(2).integers(0, 256, (16, 16, 3)).astype(np.uint8)
 
 
 @pytest.fixture
-def scene():
+def scene() -> Scene:
     turn = transforms.rotation_about("y", 0.6) @ transforms.rotation_about("x", 0.4)
     wall = quad((-3, -3), (3, 3), texture=TEXTURE)
     return lit((wall, at(0, 0, -3)), (cube(0.5), at(0.1, 0.0, -1.5, turn)))
 
 
 @pytest.fixture
-def no_gl(monkeypatch):
-    def refuse(backend="auto"):
+def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(backend: str = "auto") -> NoReturn:
         raise MissingGlError(f"No OpenGL ({backend}).")
 
     monkeypatch.setattr(gl, "open_context", refuse)
@@ -30,11 +34,12 @@ def no_gl(monkeypatch):
 
 @pytest.mark.gl
 @pytest.mark.parametrize("backend", ["egl", "osmesa"])
-def test_each_platform_draws_what_rays_meet(scene, backend):
+def test_each_platform_draws_what_rays_meet(scene: Scene, backend: str) -> None:
     try:
         raster = open_scene_raster(scene, backend)
     except MissingGlError as error:
         pytest.skip(str(error))
+    assert raster is not None
     assert raster.backend == backend
     with raster.context:
         drawn, traced = raster.draw(view(OFF_CENTRE)), raster_on_cpu(scene, view(OFF_CENTRE))
@@ -45,7 +50,7 @@ def test_each_platform_draws_what_rays_meet(scene, backend):
 
 
 @pytest.mark.gl
-def test_both_materials_take_the_name_of_a_picture(scene, gl_context):
+def test_both_materials_take_the_name_of_a_picture(scene: Scene, gl_context: GlContext) -> None:
     for materials in ("own", "gltf"):
         raster = SceneRaster(gl_context, scene, materials)
         first, second = (raster.draw_on_gpu(view(OFF_CENTRE), name) for name in ("left", "right"))
@@ -53,23 +58,23 @@ def test_both_materials_take_the_name_of_a_picture(scene, gl_context):
         np.testing.assert_array_equal(first.read().colour, second.read().colour)
 
 
-def test_there_is_no_raster_on_the_cpu_or_where_no_opengl_opens(scene, no_gl):
+def test_there_is_no_raster_on_the_cpu_or_where_no_opengl_opens(scene: Scene, no_gl: None) -> None:
     assert open_scene_raster(scene, "cpu") is None
     assert open_scene_raster(scene) is None
 
 
 @pytest.mark.parametrize(("backend", "materials"), [("egl", "own"), ("osmesa", "own"), ("auto", "gltf")])
-def test_opengl_that_was_asked_for_is_not_replaced(scene, no_gl, backend, materials):
+def test_opengl_that_was_asked_for_is_not_replaced(scene: Scene, no_gl: None, backend: str, materials: str) -> None:
     with pytest.raises(MissingGlError, match=backend):
         open_scene_raster(scene, backend, materials)
 
 
-def test_gltf_materials_on_the_cpu_are_refused(scene):
+def test_gltf_materials_on_the_cpu_are_refused(scene: Scene) -> None:
     with pytest.raises(BadInputError, match="glTF materials need OpenGL: choose the backend egl or osmesa"):
         open_scene_raster(scene, "cpu", "gltf")
 
 
 @pytest.mark.parametrize(("backend", "materials"), [("vulkan", "own"), ("cpu", "toon")])
-def test_unknown_names_are_refused_with_the_known_ones(scene, backend, materials):
+def test_unknown_names_are_refused_with_the_known_ones(scene: Scene, backend: str, materials: str) -> None:
     with pytest.raises(BadInputError, match=r"choose from .*egl.*gltf"):
         open_scene_raster(scene, backend, materials)

@@ -8,10 +8,10 @@ from wlr_render.work.workers import usable_cores
 
 
 @pytest.mark.parametrize(("total", "block"), [(0, 4), (3, 4), (4, 4), (10, 4), (7, 1)])
-def test_blocks_cover_everything_once(total, block):
+def test_blocks_cover_everything_once(total: int, block: int) -> None:
     seen, lock = [], threading.Lock()
 
-    def work(part):
+    def work(part: slice) -> None:
         with lock:
             seen.extend(range(part.start, part.stop))
 
@@ -19,10 +19,10 @@ def test_blocks_cover_everything_once(total, block):
     assert sorted(seen) == list(range(total))
 
 
-def test_parallel_work_may_call_parallel_work():
+def test_parallel_work_may_call_parallel_work() -> None:
     seen, lock = [], threading.Lock()
 
-    def inner(part):
+    def inner(part: slice) -> None:
         with lock:
             seen.append(part.start)
 
@@ -32,8 +32,8 @@ def test_parallel_work_may_call_parallel_work():
     assert sorted(seen) == sorted([0, 1, 2] * outer)
 
 
-def test_the_exception_of_a_block_arrives():
-    def work(part):
+def test_the_exception_of_a_block_arrives() -> None:
+    def work(part: slice) -> None:
         if part.start == 3:
             raise ValueError("third")
 
@@ -43,7 +43,7 @@ def test_the_exception_of_a_block_arrives():
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_forked_child_gets_workers_of_its_own():
+def test_a_forked_child_gets_workers_of_its_own() -> None:
     for_blocks(lambda _: None, 8, 1)
     child = os.fork()
     if child == 0:

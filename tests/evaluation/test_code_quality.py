@@ -1,12 +1,16 @@
 """Surfaces of which the truth is known: how many, where, and what they leave."""
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Decoded
 from wlr_render.evaluation.code_quality import Lenses, distance_to_planes, find_planes, fit_planes
 from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 LEFT = np.array([[0.7, 0.02, 30.0], [-0.01, 0.8, 20.0], [1e-5, 2e-5, 1.0]])
 RIGHT = np.array([[0.75, -0.03, 60.0], [0.03, 0.7, 5.0], [-4e-5, 1e-5, 1.0]])
@@ -16,29 +20,29 @@ LENS = LensCamera(
 )
 
 
-def centres():
+def centres() -> NDArray[Any]:
     column, row = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     return np.stack([column, row], axis=-1)
 
 
-def mapped(homography, pixel):
+def mapped(homography: FloatArray, pixel: FloatArray):
     return cv2.perspectiveTransform(pixel.reshape(-1, 1, 2), homography).reshape(pixel.shape)
 
 
-def decoded_of(position, accepted=None):
+def decoded_of(position: FloatArray, accepted: BoolArray | None = None) -> Decoded:
     rejection = np.zeros((HEIGHT, WIDTH), np.uint8) if accepted is None else (~accepted).astype(np.uint8)
     pixel = np.where((rejection == 0)[..., None], position, np.nan).astype(np.float32)
     sure = np.ones((HEIGHT, WIDTH), np.float32)
     return Decoded(pixel, sure, sure, rejection, sure, np.ones(rejection.shape, np.uint8))
 
 
-def two_surfaces(noise_px=0.0):
+def two_surfaces(noise_px: float = 0.0):
     pixel = centres()
     position = np.where(pixel[..., :1] < 140, mapped(LEFT, pixel), mapped(RIGHT, pixel))
     return position + noise_px * np.random.default_rng(5).standard_normal(position.shape)
 
 
-def test_two_surfaces_are_separated_and_their_noise_is_measured():
+def test_two_surfaces_are_separated_and_their_noise_is_measured() -> None:
     position, inside = two_surfaces(noise_px=0.1), centres()[..., 0] < 140
     accepted = np.random.default_rng(1).random((HEIGHT, WIDTH)) < 0.9
     label = find_planes(decoded_of(position, accepted))
@@ -56,7 +60,7 @@ def test_two_surfaces_are_separated_and_their_noise_is_measured():
     assert np.array_equal(np.isfinite(survey.residual[..., 0]), label >= 0)
 
 
-def test_a_smooth_deviation_is_no_scatter():
+def test_a_smooth_deviation_is_no_scatter() -> None:
     position = mapped(LEFT, centres())
     position[..., 0] += 0.2 * np.sign(np.sin(centres()[..., 1] / 16 * np.pi))  # constant in a cell, changing between
     decoded = decoded_of(position)
@@ -65,7 +69,7 @@ def test_a_smooth_deviation_is_no_scatter():
     assert plane.scatter_per_axis < 0.005
 
 
-def test_distortion_of_either_lens_is_taken_away():
+def test_distortion_of_either_lens_is_taken_away() -> None:
     straight = LENS.tangents_of_pixel(centres()) * LENS.focal_px + LENS.centre_px
     label = np.zeros((HEIGHT, WIDTH), np.int8)
     seen = decoded_of(mapped(LEFT, straight))
@@ -78,7 +82,7 @@ def test_distortion_of_either_lens_is_taken_away():
     assert fit_planes(through_projector, label, Lenses(projector=LENS)).planes[0].residual.maximum < 1e-3
 
 
-def test_positions_without_any_surface_have_none():
+def test_positions_without_any_surface_have_none() -> None:
     rng = np.random.default_rng(2)
     decoded = decoded_of(rng.uniform(0, 500, (HEIGHT, WIDTH, 2)))
     label = find_planes(decoded)
@@ -88,7 +92,7 @@ def test_positions_without_any_surface_have_none():
     assert fit_planes(nothing, find_planes(nothing)).planes == ()
 
 
-def test_the_distance_is_to_the_nearest_surface():
+def test_the_distance_is_to_the_nearest_surface() -> None:
     planes = fit_planes(decoded_of(two_surfaces()), find_planes(decoded_of(two_surfaces()))).planes
     seen = np.array([[50.5, 40.5], [50.5, 40.5], [50.5, 40.5]])
     shown = np.stack([mapped(LEFT, seen[0]), mapped(RIGHT, seen[0]), mapped(RIGHT, seen[0]) + [0.3, 0.4]])

@@ -5,8 +5,11 @@ import pytest
 
 from benchmarks.moved_observations import displaced, straight_error
 from wlr_render.evaluation import mapping_error
+from wlr_render.evaluation.mapping_error import DisplayObservations, SeeThroughObservations
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray
 
 SHAPES = [(), (1,), (3, 1, 2)]
 
@@ -26,7 +29,7 @@ class Turned:
         seen = self.display.view_dir_of_pixel(pixel, viewpoint)
         return replace(seen, value=transforms.rotate(self.rotation, seen.value))
 
-    def pixel_of_view_dir(self, view_dir, viewpoint, warm_start=None):
+    def pixel_of_view_dir(self, view_dir: FloatArray, viewpoint, warm_start=None):
         return self.display.pixel_of_view_dir(transforms.rotate(self.rotation.T, view_dir), viewpoint)
 
 
@@ -43,7 +46,7 @@ class Static:
 
 
 @pytest.fixture(params=SHAPES, ids=str)
-def display_observations(request, flat_image_headset):
+def display_observations(request: pytest.FixtureRequest, flat_image_headset: Eye) -> DisplayObservations:
     rng = np.random.default_rng(5)
     viewpoint = flat_image_headset.eye_box.at(rng.uniform(-1, 1, (*request.param, 3)))
     pixel = rng.uniform(0, 1, (*request.param, 2)) * [140, 100]
@@ -51,7 +54,7 @@ def display_observations(request, flat_image_headset):
 
 
 @pytest.fixture(params=SHAPES, ids=str)
-def see_through_observations(request, flat_image_headset):
+def see_through_observations(request: pytest.FixtureRequest, flat_image_headset: Eye) -> SeeThroughObservations:
     rng = np.random.default_rng(6)
     viewpoint = flat_image_headset.eye_box.at(rng.uniform(-1, 1, (*request.param, 3)))
     pixel = rng.uniform(0, 1, (*request.param, 2)) * [140, 100]
@@ -60,7 +63,9 @@ def see_through_observations(request, flat_image_headset):
     return mapping_error.see_through_observations(flat_image_headset.see_through, viewpoint, view_dir, depth)
 
 
-def test_truth_against_itself_is_zero(flat_image_headset, display_observations, see_through_observations):
+def test_truth_against_itself_is_zero(
+    flat_image_headset: Eye, display_observations: DisplayObservations, see_through_observations: SeeThroughObservations
+) -> None:
     display = mapping_error.display_error(flat_image_headset.display, display_observations)
     assert display.forward_arcmin.shape == display.backward_px.shape == (len(display_observations.pixel),)
     assert len(display_observations.pixel) >= 1
@@ -72,7 +77,7 @@ def test_truth_against_itself_is_zero(flat_image_headset, display_observations, 
     np.testing.assert_allclose(world.forward_miss_m, 0.0, atol=1e-12)
 
 
-def test_pixels_broadcast_against_viewpoints(flat_image_headset):
+def test_pixels_broadcast_against_viewpoints(flat_image_headset: Eye) -> None:
     viewpoint = flat_image_headset.eye_box.at(np.random.default_rng(1).uniform(-1, 1, (4, 1, 3)))
     pixel = flat_image_headset.display.panel.grid(3, 2).reshape(-1, 2)
     observations = mapping_error.observations_of_pixels(flat_image_headset.display, viewpoint, pixel)
@@ -81,7 +86,9 @@ def test_pixels_broadcast_against_viewpoints(flat_image_headset):
     np.testing.assert_array_equal(observations.pixel[:6], pixel)
 
 
-def test_observations_of_directions_are_those_of_the_pixels_seen(flat_image_headset, display_observations):
+def test_observations_of_directions_are_those_of_the_pixels_seen(
+    flat_image_headset: Eye, display_observations: DisplayObservations
+) -> None:
     again = mapping_error.observations_of_dirs(
         flat_image_headset.display, display_observations.viewpoint, display_observations.view_dir
     )
@@ -89,14 +96,14 @@ def test_observations_of_directions_are_those_of_the_pixels_seen(flat_image_head
     np.testing.assert_array_equal(again.viewpoint, display_observations.viewpoint)
 
 
-def test_directions_invisible_in_the_exact_optics_are_omitted(flat_image_headset):
+def test_directions_invisible_in_the_exact_optics_are_omitted(flat_image_headset: Eye) -> None:
     backwards = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     viewpoint, see_through = flat_image_headset.eye_box.centre, flat_image_headset.see_through
     observations = mapping_error.see_through_observations(see_through, viewpoint, backwards, np.array(1.0))
     assert len(observations.point) == 1
 
 
-def test_an_injected_rotation_is_measured(flat_image_headset, display_observations):
+def test_an_injected_rotation_is_measured(flat_image_headset: Eye, display_observations: DisplayObservations) -> None:
     angle = 3.0 * ARCMIN
     turned = Turned(flat_image_headset.display, transforms.rotation_about("y", angle))
     error = mapping_error.display_error(turned, display_observations)
@@ -107,7 +114,9 @@ def test_an_injected_rotation_is_measured(flat_image_headset, display_observatio
     assert np.all((error.backward_px > 0.95 * 3.0 / per_px) & (error.backward_px < 1.3 * 3.0 / per_px))
 
 
-def test_an_injected_offset_of_the_real_ray_is_measured(flat_image_headset, see_through_observations):
+def test_an_injected_offset_of_the_real_ray_is_measured(
+    flat_image_headset: Eye, see_through_observations: SeeThroughObservations
+) -> None:
     shifted = replace(flat_image_headset.see_through, prism=0.004)
     error = mapping_error.see_through_error(shifted, see_through_observations)
     depth = (see_through_observations.viewpoint - see_through_observations.point)[:, 2]
@@ -118,13 +127,15 @@ def test_an_injected_offset_of_the_real_ray_is_measured(flat_image_headset, see_
         assert np.all((angle > 0.8 * prism_arcmin) & (angle < 1.01 * prism_arcmin))
 
 
-def test_straight_error_is_the_deviation_of_the_optics(flat_image_headset, see_through_observations):
+def test_straight_error_is_the_deviation_of_the_optics(
+    flat_image_headset: Eye, see_through_observations: SeeThroughObservations
+) -> None:
     straight = replace(flat_image_headset.see_through, offset_m=0.0, prism=0.0)
     expected = mapping_error.see_through_error(straight, see_through_observations).backward_arcmin
     np.testing.assert_allclose(straight_error(see_through_observations), expected, rtol=1e-9)
 
 
-def test_a_static_display_errs_by_the_parallax(flat_image_headset):
+def test_a_static_display_errs_by_the_parallax(flat_image_headset: Eye) -> None:
     static = Static(flat_image_headset.display, flat_image_headset.eye_box.centre)
     viewpoint = flat_image_headset.eye_box.centre + [0.005, 0.0, 0.0]
     true = mapping_error.observations_of_pixels(flat_image_headset.display, viewpoint, np.array([70.0, 50.0]))
@@ -133,7 +144,9 @@ def test_a_static_display_errs_by_the_parallax(flat_image_headset):
     np.testing.assert_allclose(parallax, 0.005 / 2.01 / ARCMIN, rtol=1e-3)
 
 
-def test_an_eye_tracking_error_costs_its_parallax(flat_image_headset, display_observations):
+def test_an_eye_tracking_error_costs_its_parallax(
+    flat_image_headset: Eye, display_observations: DisplayObservations
+) -> None:
     wrong = displaced(display_observations, np.array([1e-4, 0.0, 0.0]))
     error = mapping_error.display_error(flat_image_headset.display, wrong)
     parallax = 1e-4 / 2.01 / ARCMIN

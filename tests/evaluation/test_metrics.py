@@ -3,7 +3,7 @@ import numpy as np
 from wlr_render.evaluation import metrics
 
 
-def test_summary_omits_and_counts_nan():
+def test_summary_omits_and_counts_nan() -> None:
     errors = np.concatenate([np.arange(101.0), [np.nan, np.nan]])
     result = metrics.summary(errors.reshape(1, -1))
     assert (result.median, result.p95, result.maximum) == (50, 95, 100)

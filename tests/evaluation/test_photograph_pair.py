@@ -1,5 +1,8 @@
 """Dots of two photographs are matched by what they are, and their distance is an angle at the camera."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,11 +14,11 @@ from wlr_render.geometry.lens_camera import LensCamera
 CAMERA = LensCamera((1000, 800), np.array([1000.0, 1000.0]), np.array([500.0, 400.0]))
 
 
-def observation(index, pixel, sigma=0.1):
+def observation(index: Sequence[Any], pixel: Sequence[Any], sigma: float = 0.1) -> BoardObservation:
     return BoardObservation(np.array(index), np.array(pixel, dtype=float), np.full(len(index), sigma))
 
 
-def test_dots_are_matched_whatever_their_order():
+def test_dots_are_matched_whatever_their_order() -> None:
     off = observation([[0, 0], [1, 0], [2, 0]], [[500, 400], [600, 400], [700, 400]])
     on = observation([[2, 0], [5, 5], [0, 0]], [[700, 402], [1, 1], [501, 400]])
     pair = pair_misalignment(off, on, CAMERA)
@@ -27,6 +30,6 @@ def test_dots_are_matched_whatever_their_order():
     assert pair.sigma_arcmin[0] == pytest.approx(np.sqrt(2) * 0.1e-3 / ARCMIN, rel=1e-4)
 
 
-def test_photographs_without_a_common_dot_give_none():
+def test_photographs_without_a_common_dot_give_none() -> None:
     pair = pair_misalignment(observation([[0, 0]], [[5, 5]]), observation([[1, 0]], [[5, 5]]), CAMERA)
     assert len(pair) == 0

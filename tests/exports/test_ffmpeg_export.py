@@ -1,10 +1,13 @@
 import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from benchmarks.exports.readers import drawn_by_ffmpeg, our_warp, smooth_picture
+from wlr_render.exports.export_view import ExportedView
 from wlr_render.exports.pixel_maps import FFMPEG_NO_RAY, Ffmpeg
 
 needs_ffmpeg = pytest.mark.skipif(
@@ -12,12 +15,12 @@ needs_ffmpeg = pytest.mark.skipif(
 )
 
 
-def nearest(picture, view, colour):
+def nearest(picture: NDArray[np.uint8], view: ExportedView, colour: str) -> NDArray[np.uint8]:
     column, row = np.moveaxis(np.floor(np.nan_to_num(view.source_px(colour))).astype(int), -1, 0)
-    return picture[row, column]
+    return np.asarray(picture[row, column])
 
 
-def test_pair_names_whole_pixels(view, tmp_path):
+def test_pair_names_whole_pixels(view: ExportedView, tmp_path: Path) -> None:
     across, down, _ = Ffmpeg().write([view], tmp_path)
     column_row = np.stack([cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in (across, down)], axis=-1)
     assert column_row.dtype == np.uint16
@@ -27,7 +30,7 @@ def test_pair_names_whole_pixels(view, tmp_path):
     assert off_px.mean() == pytest.approx(0.25, abs=0.01)
 
 
-def test_pixels_without_a_ray_are_left_to_the_fill(holed_view, tmp_path):
+def test_pixels_without_a_ray_are_left_to_the_fill(holed_view: ExportedView, tmp_path: Path) -> None:
     across, down, _ = Ffmpeg().write([holed_view], tmp_path)
     for path in (across, down):
         values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -35,7 +38,7 @@ def test_pixels_without_a_ray_are_left_to_the_fill(holed_view, tmp_path):
 
 
 @needs_ffmpeg
-def test_ffmpeg_draws_the_nearest_pixels_bit_for_bit(holed_view, tmp_path):
+def test_ffmpeg_draws_the_nearest_pixels_bit_for_bit(holed_view: ExportedView, tmp_path: Path) -> None:
     list(Ffmpeg().write([holed_view], tmp_path))
     picture = smooth_picture(holed_view.source.camera.size_px).astype(np.uint8)
     pair = ["-i", "right-x.pgm", "-i", "right-y.pgm", "-lavfi", "remap=fill=black"]
@@ -47,7 +50,7 @@ def test_ffmpeg_draws_the_nearest_pixels_bit_for_bit(holed_view, tmp_path):
 
 
 @needs_ffmpeg
-def test_ffmpeg_draws_each_colour_by_its_own_map(coloured_view, tmp_path):
+def test_ffmpeg_draws_each_colour_by_its_own_map(coloured_view: ExportedView, tmp_path: Path) -> None:
     list(Ffmpeg().write([coloured_view], tmp_path))
     picture = smooth_picture(coloured_view.source.camera.size_px).astype(np.uint8)
     pairs = [part for name in coloured_view.colours for axis in "xy" for part in ("-i", f"right-{name}-{axis}.pgm")]

@@ -1,20 +1,23 @@
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from present import present
 
 from benchmarks.exports.readers import our_warp, smooth_picture
+from wlr_render.exports.export_view import ExportedView
 from wlr_render.exports.pixel_maps import FloatMap
 from wlr_render.scene.image_files import read_map
 
 
 @pytest.mark.parametrize("name", ["pfm", "tiff"])
-def test_opencv_draws_what_our_own_warp_draws(name, view, tmp_path):
+def test_opencv_draws_what_our_own_warp_draws(name: str, view: ExportedView, tmp_path: Path) -> None:
     path, facts = FloatMap(name).write([view], tmp_path)
     picture = smooth_picture(view.source.camera.size_px)
     positions = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    warped = cv2.remap(picture, positions[..., 2] - 0.5, positions[..., 1] - 0.5, cv2.INTER_LINEAR)
+    warped = cv2.remap(picture, present(positions)[..., 2] - 0.5, present(positions)[..., 1] - 0.5, cv2.INTER_LINEAR)
     ours, inside = our_warp(picture, view)
     assert inside.all()
     assert np.abs(warped - ours).max() <= 0.01
@@ -22,7 +25,7 @@ def test_opencv_draws_what_our_own_warp_draws(name, view, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["pfm", "tiff"])
-def test_openimageio_reads_the_channels_in_order(name, view, tmp_path):
+def test_openimageio_reads_the_channels_in_order(name: str, view: ExportedView, tmp_path: Path) -> None:
     oiio = pytest.importorskip("OpenImageIO", reason="OpenImageIO reads the map: pip install OpenImageIO")
     path, _ = FloatMap(name).write([view], tmp_path)
     settings = oiio.ImageSpec()
@@ -31,7 +34,7 @@ def test_openimageio_reads_the_channels_in_order(name, view, tmp_path):
     np.testing.assert_array_equal(read[..., :2], view.source_px("all"))
 
 
-def test_pfm_has_the_bottom_row_first(view, tmp_path):
+def test_pfm_has_the_bottom_row_first(view: ExportedView, tmp_path: Path) -> None:
     path, _ = FloatMap("pfm").write([view], tmp_path)
     kind, size, scale, values = path.read_bytes().split(b"\n", 3)
     assert (kind, size) == (b"PF", b"180 200")
@@ -40,19 +43,19 @@ def test_pfm_has_the_bottom_row_first(view, tmp_path):
     np.testing.assert_array_equal(rows[::-1, :, :2], view.source_px("all"))
 
 
-def test_third_channel_is_the_inverse_depth(near_view, view, tmp_path):
+def test_third_channel_is_the_inverse_depth(near_view: ExportedView, view: ExportedView, tmp_path: Path) -> None:
     for chosen, expected in ((view, 0.0), (near_view, 2.0)):
         path, _ = FloatMap("tiff").write([chosen], tmp_path)
         assert np.unique(read_map(path)[..., 2]) == [expected]
 
 
-def test_depth_moves_the_positions_as_the_headset_does(near_view, view):
+def test_depth_moves_the_positions_as_the_headset_does(near_view: ExportedView, view: ExportedView) -> None:
     moved_px = np.linalg.norm(near_view.source_px("all") - view.source_px("all"), axis=-1)
     arcmin = moved_px / np.mean(view.source.camera.focal_px) * 60 * 180 / np.pi
     assert 0.5 < np.median(arcmin) < 2.5  # the page states 1.36' rms between infinity and 0.5 m
 
 
-def test_facts_state_what_the_map_of_their_own_colour_loses(coloured_view, tmp_path):
+def test_facts_state_what_the_map_of_their_own_colour_loses(coloured_view: ExportedView, tmp_path: Path) -> None:
     facts = [path for path in FloatMap("tiff").write([coloured_view], tmp_path) if path.suffix == ".json"]
     stated = [json.loads(path.read_text(encoding="utf-8"))["loses"][-1]["rms_arcmin"] for path in facts]
     assert len(set(stated)) == len(coloured_view.colours) == 3

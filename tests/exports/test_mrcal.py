@@ -1,6 +1,9 @@
 import ast
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,15 +16,16 @@ from wlr_render.exports.export_view import ExportedView
 from wlr_render.exports.mrcal import Mrcal
 from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
+from wlr_render.numerics.arrays import FloatArray
 
 
-def written(view, folder):
+def written(view: "Damaged | ExportedView", folder: Path) -> Path:
     (path,) = Mrcal().write([view], folder)
     return path
 
 
-def rms(difference):
-    return np.sqrt(np.mean(np.sum(difference**2, axis=-1)))
+def rms(difference: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum(difference**2, axis=-1))))
 
 
 @pytest.mark.slow
@@ -33,7 +37,9 @@ def rms(difference):
         ("birdbath28", "field", "nearest", 0.5),
     ],
 )
-def test_mrcal_projects_points_to_the_pixels_that_show_them(device, axes, camera, depth_m, tmp_path):
+def test_mrcal_projects_points_to_the_pixels_that_show_them(
+    device: str, axes: str, camera: str, depth_m: float | None, tmp_path: Path
+) -> None:
     if not has_mrcal():
         pytest.skip("mrcal is not installed: apt-get install python3-mrcal")
     options = ExportOptions(device, format="mrcal", source_axes=axes, source_camera=camera, depth_m=depth_m)
@@ -45,7 +51,7 @@ def test_mrcal_projects_points_to_the_pixels_that_show_them(device, axes, camera
     assert np.abs(found - pixel).max() <= 0.005
 
 
-def projected(path, points):
+def projected(path: Path, points: FloatArray) -> FloatArray:
     """Pixels by the published formula of the lens model, with SciPy's splines."""
     model = ast.literal_eval(path.read_text())
     words = dict(word.split("=") for word in model["lensmodel"].split("_") if "=" in word)
@@ -57,15 +63,15 @@ def projected(path, points):
     u = np.stack([x, y], axis=-1) * (2 / (np.sqrt(x**2 + y**2 + z**2) + z))[:, None]
     step = 2 * 2 * math.tan(math.radians(field_deg) / 4) / (columns - 3)
     knots = tuple((np.arange(n + 4) - 2 - (n - 1) / 2) * step for n in (rows, columns))
-    return (u + NdBSpline(knots, control, 3)(u[:, ::-1])) * focal + centre
+    return np.asarray((u + NdBSpline(knots, control, 3)(u[:, ::-1])) * focal + centre)
 
 
-def test_the_published_formula_gives_the_same_pixels(view, tmp_path):
+def test_the_published_formula_gives_the_same_pixels(view: ExportedView, tmp_path: Path) -> None:
     pixel, points = points_of_pixels(view, 1e6)
     assert rms(projected(written(view, tmp_path), points) - pixel) <= 0.002
 
 
-def test_a_model_is_for_its_depth(view, tmp_path):
+def test_a_model_is_for_its_depth(view: ExportedView, tmp_path: Path) -> None:
     near = replace(view, depth_m=0.25)
     pixel, points = points_of_pixels(near, 0.25)
     path = written(near, tmp_path)
@@ -75,7 +81,7 @@ def test_a_model_is_for_its_depth(view, tmp_path):
     assert "# depth_m: 0.25\n" in path.read_text()
 
 
-def test_comments_state_the_error_and_the_loss(view, tmp_path):
+def test_comments_state_the_error_and_the_loss(view: ExportedView, tmp_path: Path) -> None:
     comments = [line for line in written(view, tmp_path).read_text().splitlines() if line.startswith("# ")]
     assert "holds for this pupil and for points at this depth only" in comments[0]
     assert "px rms" in comments[1]
@@ -86,24 +92,24 @@ def test_comments_state_the_error_and_the_loss(view, tmp_path):
 class Damaged(ExportedView):
     """A view whose rays are changed by `damage`."""
 
-    def rays_at(self, colour, pixel, viewpoint=None):
-        return self.damage(super().rays_at(colour, pixel, viewpoint), pixel)
+    def rays_at(self, colour: str, pixel: FloatArray, viewpoint: FloatArray | None = None) -> FloatArray:
+        return np.asarray(self.damage(super().rays_at(colour, pixel, viewpoint), pixel))
 
 
-def damaged(view, damage):
+def damaged(view: ExportedView, damage: Callable[..., Any]) -> Damaged:
     changed = Damaged(**{name: getattr(view, name) for name in ExportedView.__dataclass_fields__})
     object.__setattr__(changed, "damage", damage)
     return changed
 
 
-def test_a_field_that_folds_is_refused(view, tmp_path):
+def test_a_field_that_folds_is_refused(view: ExportedView, tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="not a continuous function of the direction; choose another format"):
         written(damaged(view, lambda rays, pixel: np.abs(rays)), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
-def test_pixels_without_a_ray_are_left_out_of_the_fit(view, tmp_path):
-    def without_a_corner(rays, pixel):
+def test_pixels_without_a_ray_are_left_out_of_the_fit(view: ExportedView, tmp_path: Path) -> None:
+    def without_a_corner(rays: FloatArray, pixel: FloatArray) -> FloatArray:
         return np.where(pixel.sum(axis=-1, keepdims=True) < 60, np.nan, rays)
 
     holed = damaged(view, without_a_corner)
@@ -112,7 +118,7 @@ def test_pixels_without_a_ray_are_left_out_of_the_fit(view, tmp_path):
     assert rms(projected(written(holed, tmp_path), points) - pixel) <= 0.002
 
 
-def test_too_few_rays_are_refused(view, tmp_path):
+def test_too_few_rays_are_refused(view: ExportedView, tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"fewer than 100 of the sampled pixels of .* have a ray for right; check"):
         written(
             damaged(view, lambda rays, pixel: np.where(pixel.sum(axis=-1, keepdims=True) < 20, rays, np.nan)), tmp_path

@@ -1,16 +1,20 @@
 import json
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from wlr_render.exports.export_view import ExportedView
 from wlr_render.exports.pixel_maps import Npz, Rays
 from wlr_render.geometry import transforms
+from wlr_render.numerics.arrays import Float32Array
 
 PIXEL = np.array([[20.5, 30.5], [90.5, 100.5], [170.5, 20.5], [11.5, 190.5]])
 DEPTHS_M = (0.3, 1.0, 20.0)
 
 
-def error_px(rays, facts, view):
+def error_px(rays: Float32Array, facts: dict[str, Any], view: ExportedView) -> float:
     """Distance in panel pixels between those of `PIXEL` and those that the eye sees their rays' points with.
 
     The points are computed as the page tells a receiver; the exact optics are asked backwards.
@@ -31,7 +35,9 @@ def error_px(rays, facts, view):
 
 
 @pytest.mark.parametrize("camera", ["viewpoint", "nearest"])
-def test_points_of_a_ray_file_appear_at_their_pixels_at_every_depth(camera, view, nearest_view, tmp_path):
+def test_points_of_a_ray_file_appear_at_their_pixels_at_every_depth(
+    camera: str, view: ExportedView, nearest_view: ExportedView, tmp_path: Path
+) -> None:
     oiio = pytest.importorskip("OpenImageIO", reason="OpenImageIO reads the rays: pip install OpenImageIO")
     chosen = view if camera == "viewpoint" else nearest_view
     (path,) = Rays().write([chosen], tmp_path)
@@ -44,7 +50,9 @@ def test_points_of_a_ray_file_appear_at_their_pixels_at_every_depth(camera, view
 
 
 @pytest.mark.parametrize("camera", ["viewpoint", "nearest"])
-def test_points_of_an_array_file_appear_at_their_pixels_at_every_depth(camera, view, nearest_view, tmp_path):
+def test_points_of_an_array_file_appear_at_their_pixels_at_every_depth(
+    camera: str, view: ExportedView, nearest_view: ExportedView, tmp_path: Path
+) -> None:
     chosen = view if camera == "viewpoint" else nearest_view
     (path,) = Npz().write([chosen], tmp_path)
     with np.load(path) as data:
@@ -62,7 +70,7 @@ def test_points_of_an_array_file_appear_at_their_pixels_at_every_depth(camera, v
     assert (moved_px > 1e-4) == (camera == "nearest")
 
 
-def test_another_camera_place_would_be_noticed(nearest_view, tmp_path):
+def test_another_camera_place_would_be_noticed(nearest_view: ExportedView, tmp_path: Path) -> None:
     (path,) = Npz().write([nearest_view], tmp_path)
     with np.load(path) as data:
         rays, facts = data["rays"], json.loads(str(data["facts"]))

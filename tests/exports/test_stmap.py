@@ -1,19 +1,21 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.exports.readers import our_warp, smooth_picture, warped_by_openimageio
+from wlr_render.exports.export_view import ExportedView
 from wlr_render.exports.pixel_maps import StMap
 from wlr_render.scene.exr_file import read_exr
 
 
-def written(view, folder):
+def written(view: ExportedView, folder: Path) -> Path:
     (path,) = StMap().write([view], folder)
     return path
 
 
-def test_openimageio_draws_what_our_own_warp_draws(view, tmp_path):
+def test_openimageio_draws_what_our_own_warp_draws(view: ExportedView, tmp_path: Path) -> None:
     pytest.importorskip("OpenImageIO", reason="st_warp of OpenImageIO: pip install OpenImageIO")
     picture = smooth_picture(view.source.camera.size_px)
     ours, inside = our_warp(picture, view)
@@ -22,7 +24,7 @@ def test_openimageio_draws_what_our_own_warp_draws(view, tmp_path):
     assert np.abs(warped - ours).max() <= 0.01  # of 255
 
 
-def test_header_says_what_a_receiver_must_know(view, tmp_path):
+def test_header_says_what_a_receiver_must_know(view: ExportedView, tmp_path: Path) -> None:
     _, texts = read_exr(written(view, tmp_path))
     assert texts["eye"] == "right"
     assert texts["depth_m"] == "infinity"
@@ -37,7 +39,7 @@ def test_header_says_what_a_receiver_must_know(view, tmp_path):
     assert cases["pupil displaced by 2 mm"] == pytest.approx(30, abs=0.5)
 
 
-def test_panel_pixels_without_a_ray_read_outside_the_picture(holed_view, tmp_path):
+def test_panel_pixels_without_a_ray_read_outside_the_picture(holed_view: ExportedView, tmp_path: Path) -> None:
     channels, _ = read_exr(written(holed_view, tmp_path))
     assert np.argwhere(channels["R"] == -1).tolist() == [[5, 7]]
     assert np.argwhere(channels["G"] == -1).tolist() == [[5, 7]]

@@ -8,7 +8,7 @@ LEADS = [(), (1,), (3, 1, 2)]
 
 
 @pytest.mark.parametrize("lead", LEADS)
-def test_tangents_and_directions_round_trip(lead):
+def test_tangents_and_directions_round_trip(lead: tuple[int, ...]) -> None:
     rng = np.random.default_rng(1)
     tangents = rng.uniform(-1.5, 1.5, (*lead, 2))
     view_dir = directions.dir_of_tangents(tangents)
@@ -16,17 +16,17 @@ def test_tangents_and_directions_round_trip(lead):
     np.testing.assert_allclose(directions.tangents_of_dir(view_dir), tangents, atol=1e-14)
 
 
-def test_a_direction_that_looks_back_has_no_tangents():
+def test_a_direction_that_looks_back_has_no_tangents() -> None:
     assert np.isnan(directions.tangents_of_dir(np.array([0.0, 0.0, 1.0]))).all()
 
 
-def test_small_angles_are_exact():
+def test_small_angles_are_exact() -> None:
     angle = 1e-9
     first, second = np.array([0, 0, -1.0]), np.array([np.sin(angle), 0, -np.cos(angle)])
     assert directions.angle_between(first, second) == pytest.approx(angle, rel=1e-9)
 
 
-def test_rigid_inverse_and_named_composition():
+def test_rigid_inverse_and_named_composition() -> None:
     rng = np.random.default_rng(2)
     b_from_a = transforms.rigid(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
     point_in_a = rng.normal(size=(4, 5, 3))
@@ -34,7 +34,7 @@ def test_rigid_inverse_and_named_composition():
     np.testing.assert_allclose(transforms.apply(transforms.inverse(b_from_a), point_in_b), point_in_a, atol=1e-14)
 
 
-def test_quaternions_and_rotation_vectors_turn_by_the_right_hand_rule():
+def test_quaternions_and_rotation_vectors_turn_by_the_right_hand_rule() -> None:
     half = 0.5 * 0.3
     quarter_about_z = transforms.rotation_about("z", np.pi / 2)
     xyzw = np.array([[[np.sin(half), 0, 0, np.cos(half)]], [[0, 0, np.sqrt(0.5), np.sqrt(0.5)]]])
@@ -45,14 +45,14 @@ def test_quaternions_and_rotation_vectors_turn_by_the_right_hand_rule():
     np.testing.assert_array_equal(transforms.rotations_of_vectors(np.zeros(3)), np.eye(3))
 
 
-def test_rotation_about_is_right_handed():
+def test_rotation_about_is_right_handed() -> None:
     np.testing.assert_allclose(transforms.rotation_about("z", np.pi / 2) @ [1, 0, 0], [0, 1, 0], atol=1e-15)
     np.testing.assert_allclose(transforms.rotation_about("x", np.pi / 2) @ [0, 1, 0], [0, 0, 1], atol=1e-15)
 
 
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.3, -0.2)])
 @pytest.mark.parametrize("lead", LEADS)
-def test_carrying_to_the_base_plane_stays_on_the_ray(lead, slope):
+def test_carrying_to_the_base_plane_stays_on_the_ray(lead: tuple[int, ...], slope: tuple[float, float]) -> None:
     rng = np.random.default_rng(4)
     plane = planes.BasePlane(-0.03, slope)
     point, tangents = rng.normal(size=(*lead, 3)), rng.uniform(-1, 1, (*lead, 2))
@@ -65,7 +65,7 @@ def test_carrying_to_the_base_plane_stays_on_the_ray(lead, slope):
     np.testing.assert_allclose(plane.carry(carried, tangents), carried[..., :2], atol=1e-14)
 
 
-def test_derivatives_of_carrying_are_those_of_differences():
+def test_derivatives_of_carrying_are_those_of_differences() -> None:
     rng = np.random.default_rng(5)
     plane = planes.BasePlane(-0.03, (0.3, -0.2))
     point, tangents, step = rng.normal(size=(6, 3)), rng.uniform(-1, 1, (6, 2)), 1e-6
@@ -79,7 +79,7 @@ def test_derivatives_of_carrying_are_those_of_differences():
         np.testing.assert_allclose(deeper / (2 * step), expected, rtol=1e-6, atol=1e-8)
 
 
-def test_pinhole_covers_and_round_trips_with_v_down():
+def test_pinhole_covers_and_round_trips_with_v_down() -> None:
     tangents = np.array([[-0.4, -1.2], [0.5, 0.2], [np.nan, 0.0]])
     camera = pinhole.Pinhole.covering(tangents, 1000.0)
     pixel = camera.pixel_of_tangents(tangents[:2])
@@ -91,7 +91,7 @@ def test_pinhole_covers_and_round_trips_with_v_down():
     np.testing.assert_allclose(camera.pixel_of_tangents(camera.pixel_centre_tangents())[3, 7], [7.5, 3.5], atol=1e-10)
 
 
-def test_between_two_poses_the_turn_and_the_way_are_even():
+def test_between_two_poses_the_turn_and_the_way_are_even() -> None:
     first = transforms.rigid(transforms.rotation_about("y", 0.3), np.array([1.0, 2.0, 3.0]))
     turn = transforms.rotations_of_vectors(np.array([0.02, -0.5, 0.9]))
     last = transforms.rigid(first[:3, :3] @ turn, np.array([1.5, 1.0, 3.0]))

@@ -6,32 +6,35 @@ import numpy as np
 
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.residual_lens import ResidualLens
+from wlr_render.numerics.arrays import FloatArray
 
 _MODEL = LensCamera(
     (1600, 1200), np.array([1110.0, 1112.0]), np.array([805.0, 596.0]), np.array([-0.1, 0.03, 5e-4, -3e-4, 0.0])
 )
 
 
-def lens(size_px=0.5):
+def lens(size_px: float = 0.5) -> ResidualLens:
     plain = ResidualLens.of(_MODEL)
     shape = plain.residual_px.shape
     amplitude = np.random.default_rng(3).normal(size=shape) * plain.field.sizes[:, None]
     return replace(plain, residual_px=size_px * amplitude)
 
 
-def points(count=60):
+def points(count: int = 60) -> FloatArray:
     rng = np.random.default_rng(4)
     return np.column_stack([rng.uniform(-0.6, 0.6, count), rng.uniform(-0.4, 0.4, count), np.ones(count)])
 
 
-def test_the_field_has_its_size_and_none_displaces_nothing():
+def test_the_field_has_its_size_and_none_displaces_nothing() -> None:
     assert 0.3 < lens(0.5).rms_px < 0.8
     plain = ResidualLens.of(_MODEL)
     np.testing.assert_array_equal(plain.pixel_of_point(points()), _MODEL.pixel_of_point(points()))
-    np.testing.assert_array_equal(plain.dir_of_pixel([[300.0, 500.0]]), _MODEL.dir_of_pixel([[300.0, 500.0]]))
+    np.testing.assert_array_equal(
+        plain.dir_of_pixel(np.array([[300.0, 500.0]])), _MODEL.dir_of_pixel(np.array([[300.0, 500.0]]))
+    )
 
 
-def test_directions_invert_pixels():
+def test_directions_invert_pixels() -> None:
     bent, point = lens(), points()
     pixel = bent.pixel_of_point(point)
     assert np.abs(pixel - _MODEL.pixel_of_point(point)).max() > 0.5
@@ -40,7 +43,7 @@ def test_directions_invert_pixels():
     np.testing.assert_allclose(direction[..., :2] / direction[..., 2:], point[:, :2].reshape(6, 10, 2), atol=1e-12)
 
 
-def test_derivatives_are_those_of_differences():
+def test_derivatives_are_those_of_differences() -> None:
     bent, point = lens(), points()
     found = bent.project(point)
     np.testing.assert_allclose(found.pixel, bent.pixel_of_point(point), atol=1e-12)
@@ -53,7 +56,7 @@ def test_derivatives_are_those_of_differences():
         np.testing.assert_allclose(found.by_values[:, :, number], (more - less) / 2e-5, atol=2e-4)
 
 
-def test_no_points_have_no_pixels_and_points_behind_the_camera_nan():
+def test_no_points_have_no_pixels_and_points_behind_the_camera_nan() -> None:
     bent = lens()
     assert bent.project(np.zeros((0, 3))).by_values.shape == (0, 2, len(bent.values))
     assert np.isnan(bent.pixel_of_point(np.array([0.0, 0.1, -1.0]))).all()

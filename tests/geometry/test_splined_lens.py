@@ -5,25 +5,26 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.splined_lens import SplinedLens
+from wlr_render.numerics.arrays import FloatArray
 
 _SIZE, _FOCAL, _CENTRE = (3000, 2000), np.array([1500.0, 1510.0]), np.array([1500.0, 990.0])
 _COUNTS = {2: (13, 10), 3: (14, 11)}
 _FOV_DEG = 150.0
 
 
-def lens(order, amplitude=0.02):
+def lens(order: int, amplitude: float = 0.02) -> SplinedLens:
     nx, ny = _COUNTS[order]
     control = np.random.default_rng(order).normal(0.0, amplitude, (ny, nx, 2))
     return SplinedLens(_SIZE, _FOCAL, _CENTRE, control, order, _FOV_DEG)
 
 
-def directions_within(angle_deg, count=100):
+def directions_within(angle_deg: int, count: int = 100) -> FloatArray:
     random = np.random.default_rng(4)
     angle, turn = np.radians(random.uniform(0, angle_deg, count)), random.uniform(0, 2 * np.pi, count)
     return np.stack([np.sin(angle) * np.cos(turn), 0.6 * np.sin(angle) * np.sin(turn), np.cos(angle)], axis=1)
 
 
-def basis(order, x):
+def basis(order: int, x: float) -> float:
     """Uniform B-spline centred at 0, piece by piece as textbooks give it."""
     x = abs(x)
     if order == 3:
@@ -31,7 +32,7 @@ def basis(order, x):
     return 3 / 4 - x**2 if x < 0.5 else max(1.5 - x, 0) ** 2 / 2
 
 
-def pixel_by_the_book(lens, point):
+def pixel_by_the_book(lens: SplinedLens, point: FloatArray) -> FloatArray:
     x, y, z = point
     u = np.array([x, y]) * 2 / (np.linalg.norm(point) + z)
     ny, nx, _ = lens.control.shape
@@ -44,18 +45,18 @@ def pixel_by_the_book(lens, point):
         for row in range(ny)
         for column in range(nx)
     )
-    return lens.focal_px * (u + shift) + lens.centre_px
+    return np.asarray(lens.focal_px * (u + shift) + lens.centre_px)
 
 
 @pytest.mark.parametrize("order", [2, 3])
-def test_pixels_are_those_of_the_textbook(order):
+def test_pixels_are_those_of_the_textbook(order: int) -> None:
     points = directions_within(70)
     expected = np.array([pixel_by_the_book(lens(order), point) for point in points])
     assert np.abs(lens(order).pixel_of_point(2.5 * points) - expected).max() < 1e-9
 
 
 @pytest.mark.parametrize("order", [2, 3])
-def test_without_shift_it_is_the_stereographic_projection(order):
+def test_without_shift_it_is_the_stereographic_projection(order: int) -> None:
     plain = lens(order, amplitude=0.0)
     points = directions_within(70)
     angle = np.arccos(points[:, 2] / np.linalg.norm(points, axis=1))
@@ -65,7 +66,7 @@ def test_without_shift_it_is_the_stereographic_projection(order):
 
 
 @pytest.mark.parametrize("order", [2, 3])
-def test_every_pixel_of_the_picture_has_a_direction_and_returns(order):
+def test_every_pixel_of_the_picture_has_a_direction_and_returns(order: int) -> None:
     u, v = np.meshgrid(np.linspace(0, 3000, 31), np.linspace(0, 2000, 21))
     pixel = np.stack([u, v], axis=-1)
     wavy = lens(order)
@@ -77,7 +78,7 @@ def test_every_pixel_of_the_picture_has_a_direction_and_returns(order):
 
 
 @pytest.mark.parametrize("order", [2, 3])
-def test_derivatives_are_those_of_the_projection(order):
+def test_derivatives_are_those_of_the_projection(order: int) -> None:
     wavy, points, step = lens(order), directions_within(70, 20), 1e-6
     differences = [wavy.pixel_of_point(points + d) - wavy.pixel_of_point(points - d) for d in step * np.eye(3)]
     projection = wavy.project(points)
@@ -88,7 +89,7 @@ def test_derivatives_are_those_of_the_projection(order):
     assert wavy.values.shape == (0,)
 
 
-def test_points_beyond_the_knots_and_in_folds_are_not_seen():
+def test_points_beyond_the_knots_and_in_folds_are_not_seen() -> None:
     assert np.isnan(lens(3).pixel_of_point(np.array([[np.sin(1.32), 0, np.cos(1.32)], [0, 0, -1], [0, 0, 0]]))).all()
     nx, ny = _COUNTS[3]
     turning = np.zeros((ny, nx, 2))
@@ -99,7 +100,7 @@ def test_points_beyond_the_knots_and_in_folds_are_not_seen():
     assert np.isnan(seen[1]).all()
 
 
-def test_bad_splines_are_refused():
+def test_bad_splines_are_refused() -> None:
     for control, order, sentence in [
         (np.zeros((5, 5, 2)), 4, "order 2 or 3, not 4"),
         (np.zeros((3, 5, 2)), 3, "at least 4 x 4 control points"),

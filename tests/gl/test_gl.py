@@ -1,14 +1,19 @@
+from collections.abc import Callable
+from typing import NoReturn
+
 import numpy as np
 import pytest
+from gl_caller import Caller
 
 from wlr_render.errors import MissingGlError
 from wlr_render.gl import gl
+from wlr_render.gl.context import GlContext
 
 LOST_LIBRARIES = {"GLCONTEXT_LINUX_LIBEGL": "libNowhereEGL.so", "GLCONTEXT_LINUX_LIBGL": "libNowhereGL.so"}
 
 
 @pytest.mark.parametrize("backend", ["auto", "egl"])
-def test_missing_gl_is_one_sentence_with_the_remedy(backend, monkeypatch):
+def test_missing_gl_is_one_sentence_with_the_remedy(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in LOST_LIBRARIES.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
@@ -18,7 +23,7 @@ def test_missing_gl_is_one_sentence_with_the_remedy(backend, monkeypatch):
 
 
 @pytest.mark.gl
-def test_a_failed_call_raises_at_the_end_of_the_block(gl_context):
+def test_a_failed_call_raises_at_the_end_of_the_block(gl_context: GlContext) -> None:
     with pytest.raises(gl.GlError, match="GL_INVALID"), gl_context.drawing() as ctx:
         ctx.texture((4, 4), 4, internal_format=0x1234)
     with gl_context.drawing() as ctx:
@@ -26,7 +31,7 @@ def test_a_failed_call_raises_at_the_end_of_the_block(gl_context):
 
 
 @pytest.mark.gl
-def test_every_block_makes_its_own_context_current(gl_context):
+def test_every_block_makes_its_own_context_current(gl_context: GlContext) -> None:
     with gl_context.drawing():
         mine = gl_context.target((4, 3), 4, "f1")
         gl_context.framebuffer([mine]).clear(1.0, 0.0, 0.0, 1.0)
@@ -38,7 +43,7 @@ def test_every_block_makes_its_own_context_current(gl_context):
 
 
 @pytest.mark.gl
-def test_a_context_destroyed_while_current_does_not_leave_ours_current(caller, gl_context):
+def test_a_context_destroyed_while_current_does_not_leave_ours_current(caller: Caller, gl_context: GlContext) -> None:
     """EGL keeps a destroyed context current until another one is, and cannot make it current again."""
     caller.ctx.release()
     with gl_context.drawing():
@@ -48,11 +53,13 @@ def test_a_context_destroyed_while_current_does_not_leave_ours_current(caller, g
 
 
 @pytest.mark.parametrize(("told", "first"), [("osmesa", "osmesa"), ("egl", "egl"), (None, "egl")])
-def test_auto_first_opens_the_platform_that_pyopengl_uses(monkeypatch, told, first):
+def test_auto_first_opens_the_platform_that_pyopengl_uses(
+    monkeypatch: pytest.MonkeyPatch, told: str | None, first: str
+) -> None:
     tried = []
 
-    def refusing(name):
-        def refuse():
+    def refusing(name: str) -> Callable[[], NoReturn]:
+        def refuse() -> NoReturn:
             tried.append(name)
             raise OSError("not here")
 

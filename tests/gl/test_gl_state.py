@@ -2,17 +2,22 @@
 
 import shutil
 import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import gl_scenes
 import moderngl
 import numpy as np
 import pytest
 from fitted_eyes import fitted_eye
-from gl_caller import assert_same, run
+from gl_caller import Caller, assert_same, run
+from present import present
 from warping import field_of_pixels
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.gl import gl
+from wlr_render.gl.context import GlContext
 from wlr_render.warp.gl_ray_maps import GlPlanarSolver
 from wlr_render.warp.gl_warp import GlWarp
 from wlr_render.warp.grid import WarpGrid
@@ -23,13 +28,13 @@ SCENE = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
 
 
 @pytest.fixture
-def adopted(caller):
+def adopted(caller: Caller) -> Iterator[Any]:
     with gl.adopt_context(caller.ctx) as adopted:
         yield adopted
 
 
 @pytest.mark.parametrize("is_odd", [True, False])
-def test_all_state_is_found_again_after_each_kind_of_block(caller, is_odd):
+def test_all_state_is_found_again_after_each_kind_of_block(caller: Caller, is_odd: bool) -> None:
     """From odd values, and from OpenGL's own, which need not be restored unless our drawing changes them."""
     if is_odd:
         caller.set_odd_values()
@@ -62,7 +67,7 @@ def test_all_state_is_found_again_after_each_kind_of_block(caller, is_odd):
     assert_same(caller.state(), before)
 
 
-def test_a_failed_block_leaves_the_state_and_the_next_is_right(caller, adopted):
+def test_a_failed_block_leaves_the_state_and_the_next_is_right(caller: Caller, adopted: Any) -> None:
     raster = GlRaster(adopted, SCENE)
     good = raster.draw(gl_scenes.view())
     caller.set_odd_values()
@@ -76,7 +81,7 @@ def test_a_failed_block_leaves_the_state_and_the_next_is_right(caller, adopted):
     np.testing.assert_array_equal(raster.draw(gl_scenes.view()).colour, good.colour)
 
 
-def test_a_program_that_the_caller_deleted_while_it_was_in_use_leaves_no_error(caller, adopted):
+def test_a_program_that_the_caller_deleted_while_it_was_in_use_leaves_no_error(caller: Caller, adopted: Any) -> None:
     program = caller.ctx.program(
         "#version 410\nvoid main() { gl_Position = vec4(0); }",
         "#version 410\nout vec4 c; void main() { c = vec4(1); }",
@@ -91,7 +96,7 @@ def test_a_program_that_the_caller_deleted_while_it_was_in_use_leaves_no_error(c
 
 
 @pytest.mark.slow
-def test_a_context_of_version_4_1_is_adopted(caller):
+def test_a_context_of_version_4_1_is_adopted(caller: Caller) -> None:
     script = """
         import moderngl, gl_scenes, numpy as np
         from fitted_eyes import fitted_eye
@@ -118,17 +123,19 @@ def test_a_context_of_version_4_1_is_adopted(caller):
 
 
 @pytest.fixture
-def display(tmp_path):
+def display(tmp_path: Path) -> Iterator[Any]:
     """Number of an X display without a screen."""
     if shutil.which("Xvfb") is None:
         pytest.skip("Xvfb is not installed.")
     server = subprocess.Popen(["Xvfb", "-displayfd", "1"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    yield server.stdout.readline().decode().strip()
+    yield present(server.stdout).readline().decode().strip()
     server.terminate()
     server.communicate(timeout=20)
 
 
-def test_a_context_of_an_x_window_system_is_adopted_and_no_other_opens_beside_it(gl_context, display):
+def test_a_context_of_an_x_window_system_is_adopted_and_no_other_opens_beside_it(
+    gl_context: GlContext, display: Any
+) -> None:
     script = """
         import gl_scenes, moderngl
         from wlr_render.errors import BadInputError, MissingGlError

@@ -2,12 +2,14 @@
 
 import ctypes
 import warnings
+from collections.abc import Iterator
+from typing import Any
 
 import gl_scenes
 import moderngl
 import numpy as np
 import pytest
-from gl_caller import assert_same
+from gl_caller import Caller, assert_same
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.errors import BadInputError
@@ -23,23 +25,23 @@ QUERY_RESULT, INVALID_ENUM, CONTEXT_LOST = 0x8866, 0x0500, 0x0507
 
 
 @pytest.fixture
-def adopted(caller):
+def adopted(caller: Caller) -> Iterator[Any]:
     with gl.adopt_context(caller.ctx) as adopted:
         yield adopted
 
 
 @pytest.fixture
-def raster(adopted):
+def raster(adopted: Any) -> GlRaster:
     return GlRaster(adopted, SCENE)
 
 
-def name_of(caller, kind):
+def name_of(caller: Caller, kind: str) -> int:
     name = (ctypes.c_uint * 1)()
     caller.gl(f"glGen{kind}", 1, ctypes.addressof(name), types=[ctypes.c_int, ctypes.c_void_p])
     return name[0]
 
 
-def result_of(caller, query):
+def result_of(caller: Caller, query: int) -> int:
     number = (ctypes.c_uint * 1)()
     types = [ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p]
     caller.gl("glGetQueryObjectuiv", query, QUERY_RESULT, ctypes.addressof(number), types=types)
@@ -47,7 +49,7 @@ def result_of(caller, query):
 
 
 @pytest.mark.parametrize("target", [SAMPLES_PASSED, ANY_SAMPLES, CONSERVATIVE, PRIMITIVES], ids=hex)
-def test_queries_that_would_count_our_draws_are_refused(caller, raster, target):
+def test_queries_that_would_count_our_draws_are_refused(caller: Caller, raster: GlRaster, target: int) -> None:
     good = raster.draw(gl_scenes.view())
     query = name_of(caller, "Queries")
     before = caller.state()
@@ -62,7 +64,7 @@ def test_queries_that_would_count_our_draws_are_refused(caller, raster, target):
     np.testing.assert_array_equal(raster.draw(gl_scenes.view()).colour, good.colour)
 
 
-def test_a_query_of_time_may_run(caller, raster):
+def test_a_query_of_time_may_run(caller: Caller, raster: GlRaster) -> None:
     query = name_of(caller, "Queries")
     caller.gl("glBeginQuery", TIME, query)
     raster.draw(gl_scenes.view())
@@ -70,7 +72,7 @@ def test_a_query_of_time_may_run(caller, raster):
     assert result_of(caller, query) > 0
 
 
-def test_conditional_rendering_is_refused(caller, raster):
+def test_conditional_rendering_is_refused(caller: Caller, raster: GlRaster) -> None:
     good = raster.draw(gl_scenes.view())
     query = name_of(caller, "Queries")
     caller.gl("glBeginQuery", SAMPLES_PASSED, query)
@@ -85,13 +87,13 @@ def test_conditional_rendering_is_refused(caller, raster):
     np.testing.assert_array_equal(raster.draw(gl_scenes.view()).colour, good.colour)
 
 
-def test_transform_feedback_is_paused_and_goes_on(caller, raster):
+def test_transform_feedback_is_paused_and_goes_on(caller: Caller, raster: GlRaster) -> None:
     good = raster.draw(gl_scenes.view())
     program = caller.ctx.program(
         vertex_shader="#version 410\nin vec2 at; out vec2 kept; void main() { kept = at; gl_Position = vec4(0); }",
         varyings=["kept"],
     )
-    points = caller.ctx.vertex_array(program, [(caller.ctx.buffer(np.float32([1, 2, 3, 4])), "2f4", "at")])
+    points = caller.ctx.vertex_array(program, [(caller.ctx.buffer(np.array([1, 2, 3, 4], np.float32)), "2f4", "at")])
     buffer = caller.ctx.buffer(reserve=64)
     caller.framebuffer.use()
     caller.gl("glUseProgram", program.glo)
@@ -107,7 +109,7 @@ def test_transform_feedback_is_paused_and_goes_on(caller, raster):
     np.testing.assert_array_equal(picture.colour, good.colour)
 
 
-def test_a_pending_error_is_reported_once(caller, raster):
+def test_a_pending_error_is_reported_once(caller: Caller, raster: GlRaster) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         raster.draw(gl_scenes.view())
@@ -122,7 +124,7 @@ def test_a_pending_error_is_reported_once(caller, raster):
         gl.adopt_context(caller.ctx).release()
 
 
-def test_a_new_context_at_the_address_of_the_old_one_is_refused(caller, adopted, raster):
+def test_a_new_context_at_the_address_of_the_old_one_is_refused(caller: Caller, adopted: Any, raster: GlRaster) -> None:
     other = moderngl.create_context(standalone=True, require=410, backend="egl")
     current = vars(adopted)["_current"]
     address = current._native

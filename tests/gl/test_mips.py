@@ -1,9 +1,14 @@
 """Mip levels of overlays: each texel is the mean of what it covers, whatever the sides of the picture."""
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 import pytest
 
+from wlr_render.gl.context import GlContext
 from wlr_render.gl.mips import level_sizes
+from wlr_render.numerics.arrays import Float32Array
 from wlr_render.numerics.srgb import decode_srgb
 from wlr_render.warp.gl_overlay import OverlayImport, Quad
 from wlr_render.warp.stored_picture import PREMULTIPLIED, StoredColour
@@ -14,7 +19,7 @@ QUAD = Quad(np.eye(4), np.ones(2), False)
 SIZES = [(300, 200), (301, 199), (64, 16), (37, 1), (1, 6), (7, 96), (1, 1)]
 
 
-def shares(size, count):
+def shares(size: int, count: int):
     """(count, size): the share of each of `size` texels in each of `count` that cover them."""
     edge = np.arange(count + 1) * size / count
     first, last = np.arange(size), np.arange(1, size + 1)
@@ -22,7 +27,9 @@ def shares(size, count):
     return np.maximum(covered, 0) * count / size
 
 
-def levels_of(context, overlays, picture, stored):
+def levels_of(
+    context: GlContext, overlays: OverlayImport, picture: Float32Array, stored: StoredColour
+) -> Iterator[Any]:
     """What each level of an overlay's texture holds, and its exact mean from the light of level 0."""
     texture = overlays.take(picture, QUAD, stored, None).texture
     sizes = level_sizes(picture.shape[1::-1])
@@ -41,7 +48,7 @@ def levels_of(context, overlays, picture, stored):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_levels_of_light_are_exact_means(gl_context, size):
+def test_levels_of_light_are_exact_means(gl_context: GlContext, size: tuple[int, int]) -> None:
     picture = np.random.default_rng(7).uniform(0, 1, (*size[::-1], 4)).astype(np.float32)
     overlays = OverlayImport(gl_context)
     for _ in range(2):  # the second picture goes into the same texture
@@ -53,7 +60,7 @@ def test_levels_of_light_are_exact_means(gl_context, size):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_levels_of_codes_are_means_of_light(gl_context, size):
+def test_levels_of_codes_are_means_of_light(gl_context: GlContext, size: tuple[int, int]) -> None:
     rng = np.random.default_rng(8)
     picture = rng.choice(np.array([0, 128, 255], np.uint8), (*size[::-1], 4))
     for level, (read, exact) in enumerate(levels_of(gl_context, OverlayImport(gl_context), picture, PREMULTIPLIED)):

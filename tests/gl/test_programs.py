@@ -1,13 +1,17 @@
 """Textures that are not bound again, and framebuffers bound without ModernGL."""
 
+from collections.abc import Callable
+
+import moderngl
 import numpy as np
 import pytest
 
 from wlr_render.gl import gl
+from wlr_render.gl.context import GlContext
 
 
 @pytest.fixture
-def copying(gl_context):
+def copying(gl_context: GlContext) -> Callable[[moderngl.Texture, moderngl.Framebuffer], None]:
     """A function that draws a texture's colour into a framebuffer, with the tools of frames."""
     with gl_context.drawing() as ctx:
         program = ctx.program(
@@ -17,7 +21,7 @@ def copying(gl_context):
         )
         triangle = ctx.vertex_array(program, [])
 
-    def copy(texture, framebuffer):
+    def copy(texture: moderngl.Texture, framebuffer: moderngl.Framebuffer) -> None:
         gl_context.draw_to(framebuffer)
         gl.bind_textures(program, t=texture)
         triangle.render(vertices=3)
@@ -26,7 +30,9 @@ def copying(gl_context):
 
 
 @pytest.mark.gl
-def test_each_draw_gets_its_texture_and_its_target(gl_context, copying):
+def test_each_draw_gets_its_texture_and_its_target(
+    gl_context: GlContext, copying: Callable[[moderngl.Texture, moderngl.Framebuffer], None]
+) -> None:
     with gl_context.drawing() as ctx:
         red, green = (ctx.texture((1, 1), 4, bytes(pixel)) for pixel in ([255, 0, 0, 255], [0, 255, 0, 255]))
         textures = [gl_context.target((2, 2), 4, "f1") for _ in range(5)]
@@ -47,7 +53,9 @@ def test_each_draw_gets_its_texture_and_its_target(gl_context, copying):
 
 
 @pytest.mark.gl
-def test_textures_are_bound_anew_in_each_block(gl_context, copying):
+def test_textures_are_bound_anew_in_each_block(
+    gl_context: GlContext, copying: Callable[[moderngl.Texture, moderngl.Framebuffer], None]
+) -> None:
     with gl_context.drawing() as ctx:
         red, green = (ctx.texture((1, 1), 4, bytes(pixel)) for pixel in ([255, 0, 0, 255], [0, 255, 0, 255]))
         texture = gl_context.target((2, 2), 4, "f1")

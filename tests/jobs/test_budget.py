@@ -2,7 +2,9 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +15,10 @@ from wlr_render.calibration.label_errors import REMEDIES
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.budget import budget
 from wlr_render.jobs.budget_options import BudgetOptions
+from wlr_render.mappings import Eye
 from wlr_render.models.model_file import EyeModel, load_eye_model, save_eye_models
 
-NO_TRACKER_ERRORS = {
+NO_TRACKER_ERRORS: dict[str, Any] = {
     "eye_noise_mm": (0.0,),
     "eye_bias_mm": (0.0,),
     "eye_latency_ms": 0.0,
@@ -27,7 +30,7 @@ NO_TRACKER_ERRORS = {
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("known_warp_grid")
-def test_report_of_a_model(model_file, tmp_path):
+def test_report_of_a_model(model_file: str, tmp_path: Path) -> None:
     report = budget(BudgetOptions(model_file, depth_m=0.8, out=tmp_path))
     assert "at 0.8 m" in report.verdict
     assert report.advice[0].startswith("Improve this first: ")
@@ -42,7 +45,7 @@ def test_report_of_a_model(model_file, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("known_warp_grid")
-def test_without_trackers_the_model_owns_the_error(model_file, tmp_path):
+def test_without_trackers_the_model_owns_the_error(model_file: str, tmp_path: Path) -> None:
     report = budget(BudgetOptions(model_file, **NO_TRACKER_ERRORS, raster_arcmin=0.0, out=tmp_path))
     found = report.record["eyes"][0]
     assert found.owners[0].name == "model"
@@ -52,7 +55,9 @@ def test_without_trackers_the_model_owns_the_error(model_file, tmp_path):
 
 @pytest.mark.usefixtures("known_warp_grid")
 @pytest.mark.parametrize("source", [*SOURCES, *REMEDIES])
-def test_the_advice_says_of_each_source_of_a_calibration_what_to_do(model_file, tmp_path, source):
+def test_the_advice_says_of_each_source_of_a_calibration_what_to_do(
+    model_file: str, tmp_path: Path, source: str
+) -> None:
     model = load_eye_model(model_file)
     path = tmp_path / "model.json"
     save_eye_models(path, [replace(model, mappings=with_source(model.mappings, source))])
@@ -61,14 +66,16 @@ def test_the_advice_says_of_each_source_of_a_calibration_what_to_do(model_file, 
     assert "model:" not in first
 
 
-def test_without_any_error_the_page_says_so(straight_device, tmp_path, monkeypatch):
+def test_without_any_error_the_page_says_so(
+    straight_device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("wlr_render.jobs.budget.choose_warp_grid", lambda *_: SimpleNamespace(bound_arcmin=0.0))
     report = budget(BudgetOptions(straight_device, **NO_TRACKER_ERRORS, raster_arcmin=0.0, out=tmp_path))
     assert report.verdict.startswith("The predicted error is zero")
     assert report.advice == []
 
 
-def test_both_eyes_have_disparity(straight_device, tmp_path):
+def test_both_eyes_have_disparity(straight_device: str, tmp_path: Path) -> None:
     report = budget(BudgetOptions(straight_device, eye="both", out=tmp_path))
     disparity = {each.source: each for each in report.record["disparity"]}
     one_eye = {each.name: each for each in report.record["eyes"][0].sources}
@@ -80,7 +87,7 @@ def test_both_eyes_have_disparity(straight_device, tmp_path):
 
 
 @pytest.mark.usefixtures("known_warp_grid")
-def test_an_old_model_is_told_how_to_get_a_covariance(small_panel_model, tmp_path):
+def test_an_old_model_is_told_how_to_get_a_covariance(small_panel_model: Eye, tmp_path: Path) -> None:
     bare = replace(small_panel_model, display=replace(small_panel_model.display, spread=None))
     path = save_eye_models(tmp_path / "old.json", [EyeModel(bare, "northstar")])
     with pytest.raises(BadInputError, match=r"old\.json: .*no covariance.*calibrate again"):
@@ -98,10 +105,10 @@ def test_an_old_model_is_told_how_to_get_a_covariance(small_panel_model, tmp_pat
         ({"eye_latency_ms": 0.045}, "--eye-latency-ms is 0.045.* milliseconds"),
     ],
 )
-def test_sizes_in_another_unit_are_asked_about(values, sentence):
+def test_sizes_in_another_unit_are_asked_about(values: dict[str, Any], sentence: str) -> None:
     with pytest.raises(BadInputError, match=sentence):
         BudgetOptions("model.json", **values)
 
 
-def test_zero_is_a_size():
+def test_zero_is_a_size() -> None:
     assert BudgetOptions("model.json", **NO_TRACKER_ERRORS).head_noise_mm == 0.0

@@ -1,35 +1,39 @@
 import json
+from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from browser import needs_browser, open_page
 from memo import memoised, shared_folder
+from present import present
 from small_headsets import changed_device
 
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import demo as job
 from wlr_render.jobs.demo import METHODS, DemoOptions, demo, judged_viewpoints, simulated_captures
 from wlr_render.jobs.headset import open_eye
-from wlr_render.report.blocks import Picture, Plot
+from wlr_render.report.blocks import Picture, Plot, Report
 from wlr_render.scene.image_files import read_png
 from wlr_render.simulation.capture_setup import CaptureSetup
 
 
-def take_few_captures(patch, positions):
+def take_few_captures(patch: pytest.MonkeyPatch, positions: int) -> None:
     """Have a demo calibrate with fewer camera positions, and a quarter of the readings at each."""
     patch.setattr(job, "CAMERA_POSITIONS", positions)
     patch.setattr(job, "CaptureSetup", partial(CaptureSetup, grid=(13, 11)))
 
 
-def fit_straight_rays(patch):
+def fit_straight_rays(patch: pytest.MonkeyPatch) -> None:
     """Have a demo of a device without optics calibrate with few positions, and models of low degrees."""
     take_few_captures(patch, 9)
     patch.setattr(job, "calibrate", partial(job.calibrate, display_degree=2, see_through_degree=2))
 
 
-def made(folder):
+def made(folder) -> Report:
     """Judge northstar with an eighth of its pixels across and down; the report and its files are in a new folder."""
     folder.mkdir()
     device = changed_device(folder, "northstar", ("[1440, 1600]", "[180, 200]"))
@@ -39,7 +43,7 @@ def made(folder):
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     """The main job on a small panel: its result, and its folder; nobody writes there."""
     shared = shared_folder(tmp_path_factory)
     return memoised(made, shared)(shared / "demo"), shared / "demo" / "out"
@@ -49,13 +53,13 @@ def overall_rows(report):
     return report.tables[0].rows
 
 
-def overall(report):
+def overall(report: Report) -> dict[Any, Any]:
     """By method: median, 95 % and maximum in arcminutes, and the number of points."""
     return {row[0]: row[1:] for row in report.tables[0].rows}
 
 
 @pytest.mark.slow
-def test_only_the_methods_that_know_the_pupil_land_on_the_object(finished):
+def test_only_the_methods_that_know_the_pupil_land_on_the_object(finished: tuple[Any, Path]) -> None:
     found = overall(finished[0])
     assert tuple(found) == METHODS
     naive, static, raster, traced = (found[method] for method in METHODS)
@@ -68,7 +72,7 @@ def test_only_the_methods_that_know_the_pupil_land_on_the_object(finished):
     assert all(500 * 5 < row[3] <= 48 * 54 * 5 for row in found.values())
 
 
-def test_the_static_map_is_right_at_its_own_viewpoint_alone(finished):
+def test_the_static_map_is_right_at_its_own_viewpoint_alone(finished: tuple[Any, Path]) -> None:
     by_viewpoint = [dict(zip(("viewpoint", *METHODS), row, strict=True)) for row in finished[0].tables[1].rows]
     assert len(by_viewpoint) == 5
     assert by_viewpoint[0]["static"] < 1
@@ -76,7 +80,7 @@ def test_the_static_map_is_right_at_its_own_viewpoint_alone(finished):
     assert all(row["raster + warp"] < 1 for row in by_viewpoint)
 
 
-def test_pictures_and_tables_are_written(finished):
+def test_pictures_and_tables_are_written(finished: tuple[Any, Path]) -> None:
     report, folder = finished
     stems = ["naive", "static", "raster-warp", "ray-traced"]
     pictures = ["alignment", "eye-display-off", *(f"{kind}-{stem}" for kind in ("panel", "eye") for stem in stems)]
@@ -97,7 +101,7 @@ def test_pictures_and_tables_are_written(finished):
     assert [row["median (arcmin)"] for row in record["tables"][0]["rows"]] == [row[1] for row in overall_rows(report)]
 
 
-def test_the_verdict_has_the_figures_of_planar_static_and_naive(finished):
+def test_the_verdict_has_the_figures_of_planar_static_and_naive(finished: tuple[Any, Path]) -> None:
     report = finished[0]
     figures = {row[0]: [f"{value:.3g}'" for value in row[1:4]] for row in overall_rows(report)}
     assert "sculpture on northstar, right eye: misalignment with planar models is" in report.verdict
@@ -108,7 +112,7 @@ def test_the_verdict_has_the_figures_of_planar_static_and_naive(finished):
     assert "alignment.png" in report.advice[0]
 
 
-def test_the_plot_of_the_distribution_agrees_with_the_table(finished):
+def test_the_plot_of_the_distribution_agrees_with_the_table(finished: tuple[Any, Path]) -> None:
     _, plot = [block for block in finished[0].blocks if isinstance(block, Plot)]
     for trace, row in zip(plot.data, overall_rows(finished[0]), strict=True):
         assert trace["name"] == row[0]
@@ -116,7 +120,7 @@ def test_the_plot_of_the_distribution_agrees_with_the_table(finished):
         np.testing.assert_allclose([at[50], at[95], at[100]], row[1:4], rtol=1e-3)
 
 
-def test_the_predicted_error_of_the_planar_models_is_about_the_true_one(finished):
+def test_the_predicted_error_of_the_planar_models_is_about_the_true_one(finished: tuple[Any, Path]) -> None:
     """One calibration has one draw of the noise: its own rms differs from the expected one by some tenths."""
     table = finished[0].tables[2]
     assert list(table.columns) == ["viewpoint (mm)", "predicted", "true"]
@@ -132,12 +136,14 @@ def test_the_predicted_error_of_the_planar_models_is_about_the_true_one(finished
 
 
 @needs_browser
-def test_the_page_opens_with_its_plot(finished, tmp_path):
+def test_the_page_opens_with_its_plot(finished: tuple[Any, Path], tmp_path: Path) -> None:
     page = open_page(finished[1] / "report.html", tmp_path)
     assert (page.console, page.plots) == ([], 2)
 
 
-def test_in_the_eyes_picture_the_twin_lies_on_the_object_only_where_the_pupil_is_known(finished):
+def test_in_the_eyes_picture_the_twin_lies_on_the_object_only_where_the_pupil_is_known(
+    finished: tuple[Any, Path],
+) -> None:
     """The twin glows green; where it is right, its green follows the brightness of the real object."""
     folder = finished[1]
     real = cv2.cvtColor(read_png(folder / "eye-display-off.png"), cv2.COLOR_RGB2GRAY).astype(float)
@@ -149,16 +155,16 @@ def test_in_the_eyes_picture_the_twin_lies_on_the_object_only_where_the_pupil_is
     assert min(alike["raster-warp"], alike["ray-traced"]) > max(alike["naive"], alike["static"]) + 0.1
 
 
-def test_another_seed_and_another_eye_have_other_captures(straight_device):
+def test_another_seed_and_another_eye_have_other_captures(straight_device: str) -> None:
     """Without optics both eyes are the same but for their noise."""
     right, left = (open_eye(straight_device, eye) for eye in ("right", "left"))
-    first, same, other = (simulated_captures(right, seed).display.view_dir for seed in (1, 1, 2))
+    first, same, other = (present(simulated_captures(right, seed).display).view_dir for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, same)
     assert np.abs(first - other).max() > 1e-5
-    assert np.abs(first - simulated_captures(left, 1).display.view_dir).max() > 1e-5
+    assert np.abs(first - present(simulated_captures(left, 1).display).view_dir).max() > 1e-5
 
 
-def test_judged_viewpoints_are_the_centre_then_others_in_the_box(straight_device):
+def test_judged_viewpoints_are_the_centre_then_others_in_the_box(straight_device: str) -> None:
     truth = open_eye(straight_device)
     places = judged_viewpoints(truth, 9)
     assert places.shape == (9, 3)
@@ -169,7 +175,9 @@ def test_judged_viewpoints_are_the_centre_then_others_in_the_box(straight_device
 
 
 @pytest.mark.slow
-def test_both_eyes_have_folders_of_their_own_and_each_alone_has_the_same_tables(tmp_path, straight_device, monkeypatch):
+def test_both_eyes_have_folders_of_their_own_and_each_alone_has_the_same_tables(
+    tmp_path: Path, straight_device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fit_straight_rays(monkeypatch)
     both, one = tmp_path / "both", tmp_path / "one"
     report = demo(DemoOptions(device=straight_device, eye="both", viewpoints=5, out=both))
@@ -184,7 +192,9 @@ def test_both_eyes_have_folders_of_their_own_and_each_alone_has_the_same_tables(
 
 
 @pytest.mark.slow
-def test_without_opengl_no_row_says_that_frames_were_rasterised(straight_device, tmp_path, monkeypatch):
+def test_without_opengl_no_row_says_that_frames_were_rasterised(
+    straight_device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fit_straight_rays(monkeypatch)
     report = demo(DemoOptions(device=straight_device, viewpoints=5, backend="cpu", out=tmp_path))
     assert list(overall(report)) == ["naive", "static", "ray traced"]
@@ -202,7 +212,9 @@ def test_without_opengl_no_row_says_that_frames_were_rasterised(straight_device,
         ({"device": "no_optics", "eye": "left"}, "no left eye"),
     ],
 )
-def test_faults_are_refused_before_anything_is_written(change, sentence, tmp_path):
+def test_faults_are_refused_before_anything_is_written(
+    change: Mapping[str, Any], sentence: str, tmp_path: Path
+) -> None:
     with pytest.raises(BadInputError, match=sentence):
         demo(DemoOptions(out=tmp_path / "out", **change))
     assert not (tmp_path / "out").exists()

@@ -1,3 +1,6 @@
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -16,7 +19,7 @@ from wlr_render.scene.image_files import read_png
 TANGENTS = np.array([[-0.4, -0.1], [0.2, 0.3], [0.0, 0.1]])
 
 
-def test_the_overview_holds_all_tangents_at_its_width():
+def test_the_overview_holds_all_tangents_at_its_width() -> None:
     camera = overview_camera(TANGENTS)
     assert camera.width_px == pytest.approx(720, abs=5)
     pixel = camera.pixel_of_tangents(TANGENTS)
@@ -26,7 +29,7 @@ def test_the_overview_holds_all_tangents_at_its_width():
 
 
 @pytest.mark.parametrize("centre", [[0.0, 0.1], [-9.0, 9.0], [0.2, -0.1]])
-def test_the_close_up_is_a_square_window_within_the_overview(centre):
+def test_the_close_up_is_a_square_window_within_the_overview(centre: Sequence[float]) -> None:
     overview = overview_camera(TANGENTS)
     window = close_up_camera(overview, np.array(centre))
     side = window.tangent_max - window.tangent_min
@@ -37,7 +40,7 @@ def test_the_close_up_is_a_square_window_within_the_overview(centre):
         np.testing.assert_allclose(0.5 * (window.tangent_min + window.tangent_max), centre)
 
 
-def test_the_busiest_place_is_where_the_edges_are():
+def test_the_busiest_place_is_where_the_edges_are() -> None:
     camera = overview_camera(TANGENTS)
     picture = np.full((camera.height_px, camera.width_px, 3), 60, np.uint8)
     noise = np.random.default_rng(3).integers(0, 256, (60, 60, 3))
@@ -48,12 +51,12 @@ def test_the_busiest_place_is_where_the_edges_are():
     assert np.abs(place - [460, 230]).max() <= slack
 
 
-def test_the_caption_says_the_figures_in_arcminutes():
+def test_the_caption_says_the_figures_in_arcminutes() -> None:
     text = misalignment_caption(summary(np.arange(101) / 10))
     assert text == "off by 5' median\n9.5' at 95 %, 10' at most"
 
 
-def test_the_picture_shows_every_panorama_with_its_close_up(tmp_path):
+def test_the_picture_shows_every_panorama_with_its_close_up(tmp_path: Path) -> None:
     overview = overview_camera(TANGENTS)
     window = close_up_camera(overview, np.array([0.1, 0.1]))
     colours = [(200, 30, 30), (30, 160, 30), (30, 30, 200)]

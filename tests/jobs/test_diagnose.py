@@ -5,14 +5,19 @@ import io
 import json
 import re
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
+from _pytest.capture import CaptureResult
 from oracle.captures import Plan
 from oracle.effects import Effect
 from oracle.session_writer import write_session
+from present import present
+from small_photo_session import SmallSession
 
 from wlr_render.bench.bench_file import load_bench
 from wlr_render.bench.session_captures import captures_of
@@ -25,26 +30,28 @@ from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.observations import readings_of_rows
 from wlr_render.diagnosis.prediction import Predictor
+from wlr_render.diagnosis.report import Diagnosis
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.jobs import diagnose
+from wlr_render.numerics.arrays import FloatArray
 
 SCALE_PERCENT = 0.4
 FEW = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_translation")}
 
 
-def with_few_causes(nominal, session, progress, causes, settings):
+def with_few_causes(nominal, session, progress, causes, settings) -> Diagnosis:
     """Diagnose with a third of the readings, and few causes unless the options choose others."""
     causes = FEW if causes == CAUSES else causes
     return procedure.diagnose(nominal, session, progress, causes, replace(settings, subsample=1500))
 
 
 @pytest.fixture
-def few_causes(monkeypatch):
+def few_causes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(diagnose, "diagnose_session", with_few_causes)
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory):
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a session whose target was printed too large."""
     folder = tmp_path_factory.mktemp("bench") / "printed"
     effect = Effect("target_scale", {"scale_percent": SCALE_PERCENT})
@@ -53,7 +60,7 @@ def session(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def diagnosed(session, tmp_path_factory):
+def diagnosed(session: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Folder of the diagnosis of that session, where nobody writes, and what was printed."""
     out = tmp_path_factory.mktemp("diagnosed") / "out"
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as printed:
@@ -62,19 +69,19 @@ def diagnosed(session, tmp_path_factory):
     return out, printed.getvalue()
 
 
-def measured_dots(folder):
+def measured_dots(folder: Path) -> FloatArray:
     """Dots (n, 3) of a session's targets, metres, device frame."""
     nominal, measured = load_session(folder)
-    return dot_geometry(nominal, measured.plan.see_through)[1]
+    return dot_geometry(nominal, present(measured.plan.see_through))[1]
 
 
-def run(capsys, *arguments):
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, CaptureResult]:
     status = main(["diagnose", *map(str, arguments)])
     return status, capsys.readouterr()
 
 
 @pytest.mark.slow
-def test_the_verb_names_the_cause_and_writes_record_page_and_bench(diagnosed):
+def test_the_verb_names_the_cause_and_writes_record_page_and_bench(diagnosed: tuple[Path, str]) -> None:
     out, printed = diagnosed
     assert "Explained: printed size of the target (target_scale: scale_" in printed
     assert "Improvement in use" in printed
@@ -100,8 +107,8 @@ def test_the_verb_names_the_cause_and_writes_record_page_and_bench(diagnosed):
 
 
 def test_by_the_corrected_bench_the_session_shows_no_effect_and_the_old_bench_goes(
-    diagnosed, few_causes, tmp_path, capsys
-):
+    diagnosed: tuple[Path, str], few_causes: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = shutil.copytree(diagnosed[0], tmp_path / "out")
     corrected = (out / "corrected").rename(tmp_path / "session")
     (out / "corrected").mkdir()
@@ -115,7 +122,9 @@ def test_by_the_corrected_bench_the_session_shows_no_effect_and_the_old_bench_go
     assert not (out / "corrected" / "bench.toml").exists()
 
 
-def test_captures_are_diagnosed_by_the_device_that_they_name(session, few_causes, tmp_path, capsys):
+def test_captures_are_diagnosed_by_the_device_that_they_name(
+    session: Path, few_causes: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     calibrated, out = tmp_path / "calibrated", tmp_path / "out"
     calibrated.mkdir()
     untimed = Captures(*(replace(each, time_s=np.nan) for each in captures_of(*load_session(session)).both))
@@ -135,7 +144,9 @@ def test_captures_are_diagnosed_by_the_device_that_they_name(session, few_causes
     assert "--device does not apply" in printed.err
 
 
-def test_the_signature_of_a_cause_is_drawn_before_anything_is_fitted(session, tmp_path, capsys, monkeypatch):
+def test_the_signature_of_a_cause_is_drawn_before_anything_is_fitted(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(diagnose, "diagnose_session", None)
     status, printed = run(capsys, session, "--show-cause", "target_scale", "--out", tmp_path)
     assert status == 0
@@ -144,9 +155,9 @@ def test_the_signature_of_a_cause_is_drawn_before_anything_is_fitted(session, tm
     (wide,) = {each["name"]: each for each in record["parameters"] if each["name"] == "scale_x"}.values()
     # By the definition: a dot at x on the target moves by x times the scale, which is seen at the target's distance.
     _, measured = load_session(session)
-    plan, camera = measured.plan.see_through, np.array(measured.plan.see_through.stage)
+    plan, camera = measured.plan.see_through, np.array(present(measured.plan.see_through).stage)
     distance = np.mean(np.linalg.norm(measured_dots(session) - camera, axis=1))
-    expected = np.degrees(1e-2 * wide["size"] * np.sqrt(np.mean(plan.dot[:, 0] ** 2) / 2) / distance) * 60
+    expected = np.degrees(1e-2 * wide["size"] * np.sqrt(np.mean(present(plan).dot[:, 0] ** 2) / 2) / distance) * 60
     assert wide["rms"]["see-through"] == pytest.approx(expected, rel=0.3)
     assert wide["rms"]["display"] is None
     status, printed = run(capsys, session, "--show-cause", "target_scal", "--out", tmp_path / "no")
@@ -161,7 +172,7 @@ SCREW = re.findall(
 
 
 @pytest.fixture(scope="module")
-def screwed(tmp_path_factory):
+def screwed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Folder of a session whose stage has a lead screw of 1 mm that errs by 30 um, and the file of that cause."""
     folder = tmp_path_factory.mktemp("screw")
     effect, plan = Effect("stage_screw_error", {"swing_mm": 0.03}), Plan(grid=(7, 6), dots=(7, 5), off_plane=6)
@@ -171,7 +182,9 @@ def screwed(tmp_path_factory):
     return folder / "session", causes
 
 
-def test_a_cause_of_your_own_at_a_station_is_drawn(screwed, tmp_path, capsys):
+def test_a_cause_of_your_own_at_a_station_is_drawn(
+    screwed: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     session, causes = screwed
     status, printed = run(capsys, session, "--show-cause", "lead_screw", "--add-causes", causes, "--out", tmp_path)
     assert status == 0
@@ -182,7 +195,9 @@ def test_a_cause_of_your_own_at_a_station_is_drawn(screwed, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_cause_of_your_own_at_a_station_is_named_and_written(screwed, few_causes, tmp_path, capsys):
+def test_a_cause_of_your_own_at_a_station_is_named_and_written(
+    screwed: tuple[Path, Path], few_causes: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     session, causes = screwed
     status, _ = run(capsys, session, "--add-causes", causes, "--causes", "lead_screw", "--out", tmp_path)
     assert status == 0
@@ -211,7 +226,9 @@ def test_a_cause_of_your_own_at_a_station_is_named_and_written(screwed, few_caus
     ],
 )
 @pytest.mark.parametrize("verb", ["diagnose", "predict"])
-def test_a_faulty_effect_is_one_sentence(session, tmp_path, capsys, verb, text, sentence):
+def test_a_faulty_effect_is_one_sentence(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str, text: str, sentence: str
+) -> None:
     faulty = shutil.copytree(session, tmp_path / "faulty")
     kind = "" if "station" in text or "displaces" in text else 'station = "panel"\ndisplaces = "shift"\n'
     with (faulty / "bench.toml").open("a") as file:
@@ -224,7 +241,9 @@ def test_a_faulty_effect_is_one_sentence(session, tmp_path, capsys, verb, text, 
     assert "Traceback" not in printed
 
 
-def test_a_session_is_not_replaced_by_what_is_found_in_it(session, tmp_path, capsys):
+def test_a_session_is_not_replaced_by_what_is_found_in_it(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     inside = tmp_path / "out" / "corrected"
     shutil.copytree(session, inside)
     status, printed = run(capsys, inside, "--out", tmp_path / "out")
@@ -233,8 +252,10 @@ def test_a_session_is_not_replaced_by_what_is_found_in_it(session, tmp_path, cap
     assert sorted(path.name for path in inside.iterdir()) == sorted(path.name for path in Path(session).iterdir())
 
 
-def test_faults_are_told_in_one_line_before_any_work(session, tmp_path, capsys, monkeypatch):
-    def never(*arguments):
+def test_faults_are_told_in_one_line_before_any_work(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*arguments: object) -> NoReturn:
         raise AssertionError("work was begun")
 
     monkeypatch.setattr(diagnose, "diagnose_session", never)
@@ -250,7 +271,7 @@ def test_faults_are_told_in_one_line_before_any_work(session, tmp_path, capsys, 
         assert words in printed.err
 
 
-def test_captures_of_one_point_each_are_refused(tmp_path, capsys):
+def test_captures_of_one_point_each_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "few"
     write_session(folder, Plan(grid=(4, 3), dots=(3, 3)), [], np.random.default_rng(1))
     for name in ("display", "seethrough"):
@@ -264,13 +285,16 @@ def test_captures_of_one_point_each_are_refused(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_few_captures_are_diagnosed_with_what_cannot_be_told(session, few_causes, tmp_path, capsys):
+def test_few_captures_are_diagnosed_with_what_cannot_be_told(
+    session: Path, few_causes: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """One display capture and two of see-through at two distances show the wrong print."""
     bench, whole = load_session(session)
     display, see_through = whole.plan.display, whole.plan.see_through
+    assert see_through is not None
     first = [np.flatnonzero(see_through.target_pose == pose)[0] for pose in (0, len(bench.target.pitch) - 1)]
     pairs = zip(see_through.capture[first], see_through.target_pose[first], strict=True)
-    kept = [display.capture == display.capture[0], np.zeros(len(see_through), dtype=bool)]
+    kept = [present(display).capture == present(display).capture[0], np.zeros(len(see_through), dtype=bool)]
     for capture, pose in pairs:
         kept[1] |= (see_through.capture == capture) & (see_through.target_pose == pose)
     plan = replace(whole.plan, display=select_rows(display, kept[0]), see_through=select_rows(see_through, kept[1]))
@@ -285,12 +309,14 @@ def test_few_captures_are_diagnosed_with_what_cannot_be_told(session, few_causes
     assert "6 or more captures of the part" in one
     assert any("The see-through part has 2 captures: which of them moved cannot be told" in each for each in warned)
     assert any("a slip, or another cause with a moment, cannot be told" in each for each in warned) == (
-        len({*plan.display.time_s, *plan.see_through.time_s}) < 4
+        len({*present(plan.display).time_s, *present(plan.see_through).time_s}) < 4
     )
     assert "Display: noise 0." in printed.out  # and no repeatability of one capture
 
 
-def test_captures_of_calibrated_photographs_are_diagnosed(photo_session, tmp_path, capsys):
+def test_captures_of_calibrated_photographs_are_diagnosed(
+    photo_session: SmallSession, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A session of photographs from end to end: its places and lens are fitted, its headset is as its prescription."""
     out = tmp_path / "diagnosis"
     status, printed = run(capsys, photo_session.out, "--device", photo_session.recipe.device, "--out", out)
@@ -320,7 +346,9 @@ CAUSES = (
 """
 
 
-def test_a_cause_of_the_users_own_is_found_and_the_listed_one_is_not(session, few_causes, tmp_path, capsys):
+def test_a_cause_of_the_users_own_is_found_and_the_listed_one_is_not(
+    session: Path, few_causes: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     own = tmp_path / "cellar.py"
     own.write_text(OWN)
     out = tmp_path / "out"
@@ -337,12 +365,12 @@ def test_a_cause_of_the_users_own_is_found_and_the_listed_one_is_not(session, fe
 
 
 def test_stated_priors_reach_the_causes_and_go_where_the_corrected_bench_has_the_effect(
-    session, monkeypatch, tmp_path, capsys
-):
+    session: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A prior of a cause that is found is not in the corrected bench: it would be expected there a second time."""
     seen = {}
 
-    def quick(nominal, session, progress, causes, settings):
+    def quick(nominal, session, progress, causes, settings) -> Diagnosis:
         seen.update(causes)
         assert settings.max_causes == 0
         few = {name: causes[name] for name in FEW}
@@ -378,7 +406,9 @@ def test_stated_priors_reach_the_causes_and_go_where_the_corrected_bench_has_the
         (["--add-causes", "no_such_module"], "no_such_module: cannot be loaded (ModuleNotFoundError"),
     ],
 )
-def test_causes_that_cannot_be_considered_are_refused_in_a_sentence(session, tmp_path, capsys, options, sentence):
+def test_causes_that_cannot_be_considered_are_refused_in_a_sentence(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: Sequence[str], sentence: str
+) -> None:
     status, printed = run(capsys, session, "--out", tmp_path / "out", *options)
     assert status == 2
     assert sentence in " ".join(printed.err.split())

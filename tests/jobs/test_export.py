@@ -3,16 +3,18 @@ import json
 import re
 import shlex
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import cv2
 import numpy as np
 import pytest
 from command_line import refused
 from fitted_eyes import captures, with_source
+from present import as_number, present
 from small_headsets import LeftHalf
 
 from wlr_render.budget.error_sizes import ErrorSizes
@@ -35,17 +37,18 @@ from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.jobs.trace import TraceOptions, trace
 from wlr_render.models.model_file import EyeModel, load_eye_model, save_eye_models
 from wlr_render.numerics.srgb import decode_srgb, encode_srgb
+from wlr_render.report.blocks import Report
 from wlr_render.scene.exr_file import read_exr
 from wlr_render.scene.image_files import read_map, read_png
 from wlr_render.warp.ray_map import ray_map
 
 
-def exported(form, model, folder, **options):
+def exported(form: str, model: str, folder: Path, **options: Any) -> Report:
     return export(ExportOptions(model, format=form, out=folder, **options))
 
 
 @pytest.mark.slow
-def test_every_format_has_a_name_a_page_and_files(straight_device, tmp_path):
+def test_every_format_has_a_name_a_page_and_files(straight_device: str, tmp_path: Path) -> None:
     assert tuple(form.name for form in FORMATS) == get_args(FormatName)
     for form in FORMATS:
         if not form.holds.every_pixel:
@@ -59,7 +62,7 @@ def test_every_format_has_a_name_a_page_and_files(straight_device, tmp_path):
 
 
 @pytest.mark.slow
-def test_page_states_what_the_map_loses(small_northstar, tmp_path):
+def test_page_states_what_the_map_loses(small_northstar: str, tmp_path: Path) -> None:
     report = exported("stmap", small_northstar, tmp_path, depth_m=2.0)
     (table,) = [each for each in report.tables if each.title.startswith("Misalignment")]
     own, at_half_a_metre, at_infinity, red, blue, aside = table.rows
@@ -68,12 +71,12 @@ def test_page_states_what_the_map_loses(small_northstar, tmp_path):
     assert at_half_a_metre[2] == pytest.approx(1.37 * (1 / 0.5 - 1 / 2) / (1 / 0.5), rel=0.03)
     assert at_infinity[2] == pytest.approx(1.37 * (1 / 2) / (1 / 0.5), rel=0.03)
     assert [row[1] for row in (red, blue)] == ["red light, 615 nm", "blue light, 464 nm"]
-    assert 0.02 < red[2] < blue[2] < 0.3
+    assert 0.02 < as_number(present(red[2])) < blue[2] < 0.3
     parallax = 60 * np.rad2deg(0.002 / 2.0)  # between a point at infinity, for which it is 30', and one 2 m deep
     assert 30 - parallax < aside[2] < 30
 
 
-def test_check_picture_is_what_opencv_draws_from_the_file(small_northstar, tmp_path):
+def test_check_picture_is_what_opencv_draws_from_the_file(small_northstar: str, tmp_path: Path) -> None:
     exported("tiff", small_northstar, tmp_path, source_camera="nearest")
     source, panel = read_png(tmp_path / "check-source.png"), read_png(tmp_path / "check-panel.png")
     u, v, _ = np.moveaxis(read_map(tmp_path / "right-map.tiff"), -1, 0)
@@ -82,7 +85,7 @@ def test_check_picture_is_what_opencv_draws_from_the_file(small_northstar, tmp_p
     assert np.ptp(panel) > 100
 
 
-def test_source_picture_has_the_size_that_is_asked_for(straight_device, tmp_path):
+def test_source_picture_has_the_size_that_is_asked_for(straight_device: str, tmp_path: Path) -> None:
     exported("stmap", straight_device, tmp_path / "own")
     exported("stmap", straight_device, tmp_path / "sized", source_size=(320, 100))
     assert read_png(tmp_path / "sized" / "check-source.png").shape == (100, 320, 3)
@@ -90,13 +93,13 @@ def test_source_picture_has_the_size_that_is_asked_for(straight_device, tmp_path
     np.testing.assert_allclose(own["R"], sized["R"], atol=1e-6)  # the same borders
 
 
-def test_device_axes_turn_the_source_camera(small_northstar, tmp_path):
+def test_device_axes_turn_the_source_camera(small_northstar: str, tmp_path: Path) -> None:
     report = exported("stmap", small_northstar, tmp_path, source_axes="device")
     (cameras,) = [each for each in report.tables if each.title == "Source cameras"]
     assert str(cameras.rows[0][-1]).startswith("1.000000 0.000000 0.000000;")
 
 
-def test_a_grid_of_pupils_has_a_map_for_each_pupil_and_eye(straight_device, tmp_path):
+def test_a_grid_of_pupils_has_a_map_for_each_pupil_and_eye(straight_device: str, tmp_path: Path) -> None:
     report = exported("pfm", straight_device, tmp_path, eye="both", pupils=2)
     maps = sorted(path.stem for path in report.files if path.suffix == ".pfm")
     assert maps == [
@@ -111,7 +114,7 @@ def test_a_grid_of_pupils_has_a_map_for_each_pupil_and_eye(straight_device, tmp_
     assert np.abs(first - last).max() > 1  # px
 
 
-def test_a_trajectory_has_a_map_for_each_frame(small_northstar, tmp_path):
+def test_a_trajectory_has_a_map_for_each_frame(small_northstar: str, tmp_path: Path) -> None:
     track = Path("examples/data/eyes.txt").resolve()
     report = exported("npz", small_northstar, tmp_path, eye_track=track, fps=2, frame_limit=3)
     assert sorted(path.name for path in report.files if path.suffix == ".npz") == [
@@ -123,15 +126,15 @@ def test_a_trajectory_has_a_map_for_each_frame(small_northstar, tmp_path):
     assert np.abs(rays[0] - rays[2]).max() > 1e-3
 
 
-def test_each_colour_has_its_map(small_prism, tmp_path):
+def test_each_colour_has_its_map(small_prism: str, tmp_path: Path) -> None:
     report = exported("ffmpeg", small_prism, tmp_path, per_colour=True)
     pairs = {path.name for path in report.files if path.suffix == ".pgm"}
     assert pairs == {f"right-{colour}-{axis}.pgm" for colour in ("red", "green", "blue") for axis in "xy"}
     red, blue = (cv2.imread(str(tmp_path / f"right-{colour}-y.pgm"), -1) for colour in ("red", "blue"))
-    assert not np.array_equal(red, blue)
+    assert not np.array_equal(present(red), present(blue))
 
 
-def test_files_of_an_earlier_export_are_removed_and_no_others(straight_device, tmp_path):
+def test_files_of_an_earlier_export_are_removed_and_no_others(straight_device: str, tmp_path: Path) -> None:
     exported("pfm", straight_device, tmp_path, pupils=2)
     (tmp_path / "notes.txt").touch()
     report = exported("stmap", straight_device, tmp_path)
@@ -139,7 +142,7 @@ def test_files_of_an_earlier_export_are_removed_and_no_others(straight_device, t
     assert report.warnings[-1] == f"8 files of an earlier export were removed from {tmp_path}."
 
 
-def test_a_file_that_was_changed_after_an_export_is_left(straight_device, tmp_path):
+def test_a_file_that_was_changed_after_an_export_is_left(straight_device: str, tmp_path: Path) -> None:
     exported("pfm", straight_device, tmp_path)
     (tmp_path / "right-map.json").write_text("mine", encoding="utf-8")
     report = exported("stmap", straight_device, tmp_path)
@@ -150,14 +153,16 @@ def test_a_file_that_was_changed_after_an_export_is_left(straight_device, tmp_pa
     )
 
 
-def test_the_frames_of_render_are_no_earlier_export(straight_device, scene_file, tmp_path):
+def test_the_frames_of_render_are_no_earlier_export(straight_device: str, scene_file: str, tmp_path: Path) -> None:
     render(RenderOptions(straight_device, scene_file, method="raytrace", out=tmp_path))
     with pytest.raises(BadInputError, match="belongs to other options: job was render and is export; choose another"):
         exported("stmap", straight_device, tmp_path)
     assert list(tmp_path.glob("*.png"))
 
 
-def test_an_export_that_is_refused_leaves_the_earlier_one(straight_device, tmp_path, monkeypatch):
+def test_an_export_that_is_refused_leaves_the_earlier_one(
+    straight_device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     exported("pfm", straight_device, tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
@@ -166,7 +171,7 @@ def test_an_export_that_is_refused_leaves_the_earlier_one(straight_device, tmp_p
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_a_job_of_another_kind_does_not_replace_the_page(straight_device, tmp_path):
+def test_a_job_of_another_kind_does_not_replace_the_page(straight_device: str, tmp_path: Path) -> None:
     exported("pfm", straight_device, tmp_path)
     page = (tmp_path / "report.md").read_bytes()
     with pytest.raises(BadInputError, match="belongs to other options: job was export and is trace; choose another"):
@@ -174,11 +179,11 @@ def test_a_job_of_another_kind_does_not_replace_the_page(straight_device, tmp_pa
     assert (tmp_path / "report.md").read_bytes() == page
 
 
-def test_commands_of_the_page_can_be_copied(straight_device, tmp_path):
+def test_commands_of_the_page_can_be_copied(straight_device: str, tmp_path: Path) -> None:
     exported("ffmpeg", straight_device, tmp_path, per_colour=True)
     page, html = ((tmp_path / f"report.{end}").read_text(encoding="utf-8") for end in ("md", "html"))
     (command,) = re.findall(r"`(ffmpeg [^`]*mergeplanes[^`]*)`", page)
-    assert command in unescape(re.search(r"<code>(ffmpeg [^<]*mergeplanes[^<]*)</code>", html)[1])
+    assert command in unescape(present(re.search(r"<code>(ffmpeg [^<]*mergeplanes[^<]*)</code>", html))[1])
     assert [name for name in shlex.split(command) if name.endswith(".pgm")] == [
         f"right-{colour}-{axis}.pgm" for colour in ("red", "green", "blue") for axis in "xy"
     ]
@@ -189,12 +194,14 @@ class Killed(BaseException):
 
 
 @pytest.mark.parametrize(("form", "after"), [("stmap", 2), ("ffmpeg", 4), ("npz", 0)])
-def test_an_export_that_was_killed_goes_on_where_it_ended(form, after, straight_device, tmp_path, monkeypatch):
+def test_an_export_that_was_killed_goes_on_where_it_ended(
+    form: str, after: int, straight_device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     few = {"eye": "both", "pupils": 2}
     whole = exported(form, straight_device, tmp_path / "whole", **few)
     written, adds = Kept.add, []
 
-    def add_until_killed(finished, files, facts=None):
+    def add_until_killed(finished, files, facts=None) -> None:
         if len(adds) == after:
             raise Killed
         adds.append(files)
@@ -217,7 +224,7 @@ def test_an_export_that_was_killed_goes_on_where_it_ended(form, after, straight_
     assert list(again.values())[:kept] == list(before.values())[:kept]
 
 
-def test_a_map_is_written_again_when_a_file_or_an_option_has_changed(straight_device, tmp_path):
+def test_a_map_is_written_again_when_a_file_or_an_option_has_changed(straight_device: str, tmp_path: Path) -> None:
     device = tmp_path / "device.toml"
     text = Path(straight_device).read_text(encoding="utf-8")
     device.write_text(text, encoding="utf-8")
@@ -227,14 +234,16 @@ def test_a_map_is_written_again_when_a_file_or_an_option_has_changed(straight_de
     assert "kept" not in exported("pfm", str(device), tmp_path / "out", depth_m=2.0).verdict
 
 
-def test_each_view_is_solved_once(straight_device, tmp_path, monkeypatch):
+def test_each_view_is_solved_once(straight_device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     solved = []
     monkeypatch.setattr(view, "ray_map", lambda mappings, *given: solved.append(given) or ray_map(mappings, *given))
     exported("stmap", straight_device, tmp_path, eye="both", pupils=2)
     assert len(solved) == 8
 
 
-def test_panel_pixels_without_a_ray_are_counted(straight_device, tmp_path, monkeypatch):
+def test_panel_pixels_without_a_ray_are_counted(
+    straight_device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     eye = open_eye(straight_device)
     half = replace(eye, display=LeftHalf(eye.display))
     monkeypatch.setattr("wlr_render.jobs.headset.open_eye", lambda spec, name: half)
@@ -242,14 +251,16 @@ def test_panel_pixels_without_a_ray_are_counted(straight_device, tmp_path, monke
     assert report.warnings[-1] == "right: 50.000% of the panel pixels have no ray."
 
 
-def test_positions_beside_the_source_picture_are_counted(straight_device, tmp_path, monkeypatch):
+def test_positions_beside_the_source_picture_are_counted(
+    straight_device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     narrow = Pinhole(64, 36, np.array([-0.01, -1.0]), np.array([1.0, 1.0]))
     monkeypatch.setattr("wlr_render.exports.export_view.intermediate_camera", lambda *_: narrow)
     warning = exported("stmap", straight_device, tmp_path).warnings[-1]
     assert warning.endswith("% of the panel pixels lie outside the source picture.")
 
 
-def test_pupil_aside_costs_what_parallax_costs(straight_device, tmp_path):
+def test_pupil_aside_costs_what_parallax_costs(straight_device: str, tmp_path: Path) -> None:
     """Without optics the panel itself is seen, half a metre away, where it should show what is at infinity."""
     report = exported("stmap", straight_device, tmp_path)
     (table,) = [each for each in report.tables if each.title.startswith("Misalignment")]
@@ -276,33 +287,39 @@ def test_pupil_aside_costs_what_parallax_costs(straight_device, tmp_path):
         ({"depth_m": 500.0}, "metres"),
     ],
 )
-def test_what_does_not_go_together_is_refused(options, words):
+def test_what_does_not_go_together_is_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(BadInputError, match=r"^[^\n]*$") as refusal:
         ExportOptions(**{"format": "stmap", "headset": "northstar", **options})
     assert words in str(refusal.value)
 
 
-def test_a_pupil_outside_the_eye_box_is_refused(small_northstar, tmp_path, capsys):
+def test_a_pupil_outside_the_eye_box_is_refused(
+    small_northstar: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     place = ["--viewpoint-mm", "-60", "0", "-30", "--out", str(tmp_path / "out")]
     assert "outside the eye box" in refused(["export", small_northstar, "--format", "stmap", *place], capsys)
     assert not (tmp_path / "out").exists()
 
 
-def test_the_command_line_takes_a_pupil_position(small_northstar, tmp_path, capsys):
+def test_the_command_line_takes_a_pupil_position(
+    small_northstar: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     place = ["--viewpoint-mm", "33.5", "-0.5", "-30", "--out", str(tmp_path)]
     assert main(["export", small_northstar, "--format", "stmap", *place]) == 0
     assert "33.500, -0.500, -30.000" in (tmp_path / "report.md").read_text(encoding="utf-8")
     assert "Misalignment by a map" in capsys.readouterr().out
 
 
-def test_without_openexr_one_sentence_says_how_to_install_it(small_northstar, tmp_path, capsys, monkeypatch):
+def test_without_openexr_one_sentence_says_how_to_install_it(
+    small_northstar: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     sentence = refused(["export", small_northstar, "--format", "stmap", "--out", str(tmp_path / "out")], capsys)
     assert install_command("exr") in sentence
     assert not list(tmp_path.rglob("*.exr"))
 
 
-def test_models_of_one_name_keep_their_own_hashes(straight_device, tmp_path):
+def test_models_of_one_name_keep_their_own_hashes(straight_device: str, tmp_path: Path) -> None:
     """Even in folders of one name."""
     files = [tmp_path / colour / "fit" / "model.json" for colour in ("green", "red", "blue")]
     for number, file in enumerate(files):
@@ -315,7 +332,7 @@ def test_models_of_one_name_keep_their_own_hashes(straight_device, tmp_path):
     assert sha256 == {f"{name}: model.json": hashlib.sha256(text).hexdigest() for name, text in contents.items()}
 
 
-def test_page_and_facts_state_the_predicted_error_by_source(model_file, tmp_path):
+def test_page_and_facts_state_the_predicted_error_by_source(model_file: str, tmp_path: Path) -> None:
     model = load_eye_model(model_file)
     path = tmp_path / "model.json"
     printed = with_source(model.mappings, "printing errors of the board")
@@ -339,7 +356,9 @@ def test_page_and_facts_state_the_predicted_error_by_source(model_file, tmp_path
     assert "printing errors of the board" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
-def test_headsets_without_covariance_have_no_predicted_error(straight_device, model_file, tmp_path):
+def test_headsets_without_covariance_have_no_predicted_error(
+    straight_device: str, model_file: str, tmp_path: Path
+) -> None:
     model = load_eye_model(model_file)
     bare = replace(model.mappings, display=replace(model.mappings.display, spread=None))
     old = str(save_eye_models(tmp_path / "old.json", [replace(model, mappings=bare)]))
@@ -350,7 +369,9 @@ def test_headsets_without_covariance_have_no_predicted_error(straight_device, mo
         assert "Predicted error by source" not in [each.title for each in report.tables]
 
 
-def test_pixels_that_one_colour_lacks_are_counted(small_prism, tmp_path, monkeypatch):
+def test_pixels_that_one_colour_lacks_are_counted(
+    small_prism: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     red, green, blue = open_colours(small_prism)
     channels = replace(red, display=LeftHalf(red.display)), green, blue
     monkeypatch.setattr("wlr_render.jobs.export.open_channels", lambda *_: {"right": channels})
@@ -369,8 +390,13 @@ def test_pixels_that_one_colour_lacks_are_counted(small_prism, tmp_path, monkeyp
     ],
 )
 def test_what_a_format_loses_is_in_the_file_on_the_page_and_on_the_terminal(
-    form, options, words, small_northstar, tmp_path, capsys
-):
+    form: str,
+    options: Sequence[str],
+    words: Sequence[str],
+    small_northstar: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     device = "northstar" if form == "monado" else small_northstar  # its driver demands all pixels
     assert main(["export", device, "--format", form, *options, "--out", str(tmp_path)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
@@ -388,9 +414,9 @@ def test_what_a_format_loses_is_in_the_file_on_the_page_and_on_the_terminal(
         assert any(each in sentence for sentence in stated)
 
 
-def test_both_eyes_have_pupils_of_their_own(straight_device, tmp_path):
+def test_both_eyes_have_pupils_of_their_own(straight_device: str, tmp_path: Path) -> None:
     box = {eye: open_eye(straight_device, eye).eye_box for eye in ("left", "right")}
-    chosen = np.concatenate([box["left"].at([0.5, 0, 0]), box["right"].at([0, -0.5, 0])])
+    chosen = np.concatenate([box["left"].at(np.array([0.5, 0, 0])), box["right"].at(np.array([0, -0.5, 0]))])
     exported("npz", straight_device, tmp_path, eye="both", viewpoint_mm=tuple(1e3 * chosen))
     for eye, expected in zip(("left", "right"), np.split(chosen, 2), strict=True):
         facts = json.loads(str(np.load(tmp_path / f"{eye}-rays.npz")["facts"]))

@@ -5,11 +5,14 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from jobs.test_render import metadata
+from numpy.typing import NDArray
+from present import present
 from small_headsets import changed_device
 
 from wlr_render.draw.frame_layers import INSTANCE, LAYERS
@@ -21,7 +24,9 @@ from wlr_render.extras import MissingExtraError
 from wlr_render.geometry import transforms
 from wlr_render.jobs.frame_labels import instance_annotations, read_labels, write_labels
 from wlr_render.jobs.headset import open_eye
-from wlr_render.jobs.render import RenderOptions, render
+from wlr_render.jobs.render import render
+from wlr_render.jobs.render_options import RenderOptions
+from wlr_render.mappings import Eye
 from wlr_render.report.blocks import Plot
 from wlr_render.scene.exr_file import read_exr
 from wlr_render.scene.image_files import read_png, write_video
@@ -38,7 +43,7 @@ def exr():
 
 
 @pytest.fixture
-def labelled(tmp_path, straight_device, scene_file, exr):
+def labelled(tmp_path: Path, straight_device: str, scene_file: str, exr: object) -> RenderOptions:
     """Two frames of each eye with all layers, ray traced."""
     head = tmp_path / "head.tum"
     head.write_text(TWO_FRAMES)
@@ -54,20 +59,20 @@ def labelled(tmp_path, straight_device, scene_file, exr):
     )
 
 
-def decoded(segmentation):
+def decoded(segmentation) -> NDArray[Any]:
     """Mask of COCO's run lengths."""
     height, width = segmentation["size"]
     value = np.arange(len(segmentation["counts"])) % 2
     return np.repeat(value, segmentation["counts"]).reshape(width, height).T.astype(bool)
 
 
-def content(folder):
+def content(folder: Path) -> dict[Any, Any]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.name != "finished.jsonl"}
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (5, 7), (40, 30)])
 @pytest.mark.parametrize("kinds", [1, 2, 5])
-def test_masks_boxes_and_areas_are_those_of_the_picture(shape, kinds):
+def test_masks_boxes_and_areas_are_those_of_the_picture(shape: tuple[int, int], kinds: int) -> None:
     instance = np.random.default_rng(kinds).integers(0, kinds + 1, shape).astype(np.uint32)
     instance[: shape[0] // 2, shape[1] // 2 :] = kinds
     found = instance_annotations(instance)
@@ -82,7 +87,7 @@ def test_masks_boxes_and_areas_are_those_of_the_picture(shape, kinds):
     assert instance_annotations(np.zeros(shape, np.uint32)) == []
 
 
-def test_layers_and_index_say_the_same_and_name_what_the_scene_has(labelled):
+def test_layers_and_index_say_the_same_and_name_what_the_scene_has(labelled: RenderOptions) -> None:
     render(labelled)
     index = json.loads((labelled.out / "instances.json").read_text())
     assert [(each["id"], each["name"]) for each in index["instances"]] == [(BALL, "ball"), (WALL, "wall")]
@@ -109,7 +114,7 @@ def test_layers_and_index_say_the_same_and_name_what_the_scene_has(labelled):
         assert (texts["eye"], texts["depth"].split(":")[0]) == (image["file_name"].split("-")[0], "Z")
 
 
-def test_coco_tools_read_the_index(labelled, capsys):
+def test_coco_tools_read_the_index(labelled: RenderOptions, capsys: pytest.CaptureFixture[str]) -> None:
     """pip install pycocotools."""
     coco = pytest.importorskip("pycocotools.coco", reason="pycocotools is not installed: pip install pycocotools.")
     masks = pytest.importorskip("pycocotools.mask")
@@ -125,7 +130,7 @@ def test_coco_tools_read_the_index(labelled, capsys):
         np.testing.assert_array_equal(masks.toBbox(encoded), annotation["bbox"])
 
 
-def test_supersampling_changes_colours_and_no_layer(labelled):
+def test_supersampling_changes_colours_and_no_layer(labelled: RenderOptions) -> None:
     render(labelled)
     fine = replace(labelled, supersample=3, out=labelled.out.with_name("fine"))
     render(fine)
@@ -140,7 +145,7 @@ def test_supersampling_changes_colours_and_no_layer(labelled):
 
 @pytest.mark.gl
 @pytest.mark.usefixtures("gl_context")
-def test_rastered_frames_have_the_layers_of_ray_traced_ones(labelled):
+def test_rastered_frames_have_the_layers_of_ray_traced_ones(labelled: RenderOptions) -> None:
     render(labelled)
     drawn = replace(labelled, method="raster", out=labelled.out.with_name("drawn"))
     render(drawn)
@@ -152,7 +157,7 @@ def test_rastered_frames_have_the_layers_of_ray_traced_ones(labelled):
             assert np.abs(raster[name].astype(float) - traced[name])[same].max() < 1e-3, name
 
 
-def test_a_run_that_is_resumed_ends_up_with_the_same_files(labelled, tmp_path):
+def test_a_run_that_is_resumed_ends_up_with_the_same_files(labelled: RenderOptions, tmp_path: Path) -> None:
     job = replace(labelled, misalignment=labelled.headset)
     render(job)
     whole = content(job.out)
@@ -176,7 +181,7 @@ def test_a_run_that_is_resumed_ends_up_with_the_same_files(labelled, tmp_path):
     assert render(replace(job, layers=LAYERS[::-1])).record["frames_drawn"] == 0
 
 
-def test_the_page_of_frames_reads_layers_as_it_says(labelled):
+def test_the_page_of_frames_reads_layers_as_it_says(labelled: RenderOptions) -> None:
     """The example in docs/frames.md."""
     render(replace(labelled, eye="right"))
     page = (Path(__file__).resolve().parents[2] / "docs" / "frames.md").read_text(encoding="utf-8")
@@ -191,15 +196,20 @@ def test_the_page_of_frames_reads_layers_as_it_says(labelled):
 
 @pytest.mark.parametrize("method", ["raytrace", pytest.param("raster", marks=pytest.mark.gl)])
 def test_misalignment_of_each_frame_is_that_of_what_it_shows(
-    tmp_path, model_file, small_panel_model, scene_file, method, request
-):
+    tmp_path: Path,
+    model_file: str,
+    small_panel_model: Eye,
+    scene_file: str,
+    method: str,
+    request: pytest.FixtureRequest,
+) -> None:
     if method == "raster":
         request.getfixturevalue("gl_context")
     device = changed_device(tmp_path, "northstar", ("[1440, 1600]", "[90, 100]"))
     pose = transforms.rigid(transforms.rotation_about("y", 0.1), np.array([0.02, 0.01, 0.03]))
     head = tmp_path / "head.tum"
     head.write_text("".join(f"{time} 0.02 0.01 0.03 0.0 {np.sin(0.05)} 0.0 {np.cos(0.05)}\n" for time in (0.0, 1.0)))
-    given = {"head": head, "frame_limit": 1, "method": method, "misalignment": device}
+    given: dict[str, Any] = {"head": head, "frame_limit": 1, "method": method, "misalignment": device}
     options = RenderOptions(model_file, scene_file, out=tmp_path / "frames", **given)
     report = render(options)
     (frame,) = metadata(options.out)
@@ -209,7 +219,7 @@ def test_misalignment_of_each_frame_is_that_of_what_it_shows(
     viewpoint = model.eye_box.centre
     assert frame["viewpoint_in_device_m"] == viewpoint.tolist()
     painter = TracedPainter(model, RayRenderer(load_scene(scene_file)))
-    world_point = painter.paint(viewpoint, pose, with_geometry=True).position.astype(float)
+    world_point = present(painter.paint(viewpoint, pose, with_geometry=True).position).astype(float)
     point = transforms.apply(transforms.inverse(pose), world_point)
     shown = np.isfinite(point[..., 0])
     error = misalignment_arcmin(truth, viewpoint, truth.display.panel.pixel_centres()[shown], point[shown])
@@ -221,7 +231,7 @@ def test_misalignment_of_each_frame_is_that_of_what_it_shows(
     assert report.tables[0].rows[0][4:] == [found[name] for name in ("median_arcmin", "p95_arcmin", "max_arcmin")]
 
 
-def test_the_report_plots_misalignment_over_time(labelled):
+def test_the_report_plots_misalignment_over_time(labelled: RenderOptions) -> None:
     report = render(replace(labelled, layers=(), misalignment=labelled.headset))
     (plot,) = (block for block in report.blocks if isinstance(block, Plot))
     frames = metadata(labelled.out)
@@ -235,7 +245,9 @@ def test_the_report_plots_misalignment_over_time(labelled):
     assert not [block for block in render(still).blocks if isinstance(block, Plot)]
 
 
-def test_frames_that_show_nothing_have_no_misalignment_and_no_annotations(labelled, tmp_path):
+def test_frames_that_show_nothing_have_no_misalignment_and_no_annotations(
+    labelled: RenderOptions, tmp_path: Path
+) -> None:
     behind = tmp_path / "behind.toml"
     text = Path(labelled.scene).read_text(encoding="utf-8").replace("-0.5]\n\n", "0.5]\n\n").replace("-1.5]", "1.5]")
     behind.write_text(text, encoding="utf-8")
@@ -247,7 +259,7 @@ def test_frames_that_show_nothing_have_no_misalignment_and_no_annotations(labell
     assert report.tables[0].rows[0][4:] == [None, None, None]
 
 
-def test_layers_without_openexr_leave_nothing_behind(labelled, monkeypatch):
+def test_layers_without_openexr_leave_nothing_behind(labelled: RenderOptions, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     with pytest.raises(MissingExtraError, match=r"--layers: .*pip install 'openexr"):
         render(labelled)
@@ -261,14 +273,16 @@ def test_layers_without_openexr_leave_nothing_behind(labelled, monkeypatch):
         ("northstar", "has another panel than .*no_optics.toml; .*; for a device file give that file again"),
     ],
 )
-def test_an_exact_device_that_is_none_or_another_is_refused(labelled, model_file, device, sentence):
+def test_an_exact_device_that_is_none_or_another_is_refused(
+    labelled: RenderOptions, model_file: str, device: str, sentence: str
+) -> None:
     given = model_file if device == "model" else device
     with pytest.raises(BadInputError, match=f"--misalignment .*{sentence}"):
         render(replace(labelled, misalignment=given))
     assert not labelled.out.exists()
 
 
-def test_both_eyes_are_shown_side_by_side(labelled, tmp_path):
+def test_both_eyes_are_shown_side_by_side(labelled: RenderOptions, tmp_path: Path) -> None:
     if not _encodes_video(tmp_path):
         pytest.skip("this OpenCV encodes no VP9 video.")
     job = replace(labelled, layers=(), video=True)
@@ -286,7 +300,7 @@ def test_both_eyes_are_shown_side_by_side(labelled, tmp_path):
     assert not video.read()[0]
 
 
-def _encodes_video(folder):
+def _encodes_video(folder: Path) -> bool:
     try:
         write_video(folder / "try.mp4", [np.zeros((36, 64, 3), np.uint8)], 10.0)
     except BadInputError:
@@ -294,7 +308,7 @@ def _encodes_video(folder):
     return True
 
 
-def test_a_video_that_is_given_up_is_closed(tmp_path, monkeypatch):
+def test_a_video_that_is_given_up_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A writer that is open has its thread and its file."""
     released = []
     writer = SimpleNamespace(isOpened=lambda: True, write=lambda frame: None, release=lambda: released.append(True))
@@ -306,18 +320,18 @@ def test_a_video_that_is_given_up_is_closed(tmp_path, monkeypatch):
 
 
 class _Opener:
-    def __init__(self, writer):
+    def __init__(self, writer: SimpleNamespace) -> None:
         self.writer = writer
 
-    def __call__(self, *_):
+    def __call__(self, *_: object) -> SimpleNamespace:
         return self.writer
 
-    def fourcc(self, *_):
+    def fourcc(self, *_: object) -> int:
         return 0
 
 
 @pytest.mark.parametrize("text", ['{"format": "wlr-view", "version": 1}', '{"annotations": 3}', "[]", "cut"])
-def test_labels_of_another_kind_are_refused(tmp_path, text):
+def test_labels_of_another_kind_are_refused(tmp_path: Path, text: str) -> None:
     path = write_labels(tmp_path / "right-000000-labels.json", [{"instance_id": 1}])
     assert read_labels(path) == [{"instance_id": 1}]
     path.write_text(text)

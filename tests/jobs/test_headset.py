@@ -18,7 +18,7 @@ from wlr_render.optics.media import GREEN_UM
 from wlr_render.optics.traced_mappings import TracedDisplay, traced_eye
 
 
-def test_a_device_is_traced_and_a_model_is_read(straight_device, model_file):
+def test_a_device_is_traced_and_a_model_is_read(straight_device: str, model_file: str) -> None:
     traced = open_eye(straight_device, "left")
     assert (traced.name, traced.eye) == ("no_optics (traced)", "left")
     fitted = open_eye(Path(model_file))
@@ -26,7 +26,7 @@ def test_a_device_is_traced_and_a_model_is_read(straight_device, model_file):
     assert open_eye("no_optics").display.panel.width_px == 1280
 
 
-def test_a_bench_is_its_device_with_the_heights_of_its_effects(tmp_path):
+def test_a_bench_is_its_device_with_the_heights_of_its_effects(tmp_path: Path) -> None:
     camera = EyeballCamera(np.array([1280.0, 1024.0]), np.array([900.0, 900.0]), np.array([640.0, 300.0]), 0.1)
     device = load_device("northstar")
     middle = device.eyes["right"].eye_box.centre
@@ -45,7 +45,7 @@ def test_a_bench_is_its_device_with_the_heights_of_its_effects(tmp_path):
     np.testing.assert_array_equal(*left)
 
 
-def test_effects_of_a_bench_that_its_maps_do_not_have_are_said(straight_device, tmp_path):
+def test_effects_of_a_bench_that_its_maps_do_not_have_are_said(straight_device: str, tmp_path: Path) -> None:
     camera = EyeballCamera(np.array([1280.0, 1024.0]), np.array([900.0, 900.0]), np.array([640.0, 300.0]), 0.1)
     device = load_device(straight_device)
     bench = Bench(device, "right", camera, Stage(np.zeros(3)), Target(np.zeros((0, 4, 4)), np.zeros(0)))
@@ -58,7 +58,7 @@ def test_effects_of_a_bench_that_its_maps_do_not_have_are_said(straight_device, 
     assert "do not have its effects of panel (shift by viewpoint); render with models fitted to the session" in said
 
 
-def test_a_model_cut_short_or_of_another_version_is_refused(model_file, tmp_path):
+def test_a_model_cut_short_or_of_another_version_is_refused(model_file: str, tmp_path: Path) -> None:
     text = Path(model_file).read_text(encoding="utf-8")
     short, newer = tmp_path / "short.json", tmp_path / "newer.json"
     short.write_text(text[: len(text) // 2], encoding="utf-8")
@@ -69,7 +69,7 @@ def test_a_model_cut_short_or_of_another_version_is_refused(model_file, tmp_path
         open_eye(newer)
 
 
-def test_the_eye_box_is_a_border_with_a_micrometre_of_slack(straight_device):
+def test_the_eye_box_is_a_border_with_a_micrometre_of_slack(straight_device: str) -> None:
     eye = open_eye(straight_device)
     corner = eye.eye_box.at(np.ones(3))
     require_in_eye_box(eye, corner, "here")
@@ -81,7 +81,7 @@ def test_the_eye_box_is_a_border_with_a_micrometre_of_slack(straight_device):
     assert "(-5.00, -4.00, -3.00) to (5.00, 4.00, 3.00) mm" in sentence
 
 
-def test_a_device_is_traced_in_red_green_and_blue():
+def test_a_device_is_traced_in_red_green_and_blue() -> None:
     channels = open_colours("freeform40")
     viewpoint = channels[0].eye_box.centre
     ray = np.array([0.2, -0.1, -1.0]) / np.sqrt(1.05)
@@ -95,7 +95,7 @@ def test_a_device_is_traced_in_red_green_and_blue():
     assert directions.angle_between(green, blue) > directions.angle_between(red, green) > 0
 
 
-def test_three_models_are_three_colours(model_file, tmp_path):
+def test_three_models_are_three_colours(model_file: str, tmp_path: Path) -> None:
     record = json.loads(Path(model_file).read_text(encoding="utf-8"))
     files = [tmp_path / f"{name}.json" for name in ("red", "green", "blue")]
     for path in files:
@@ -106,7 +106,7 @@ def test_three_models_are_three_colours(model_file, tmp_path):
 
 
 @pytest.mark.parametrize("part", ["panel", "eye box"])
-def test_colours_of_different_headsets_are_refused(model_file, tmp_path, part):
+def test_colours_of_different_headsets_are_refused(model_file: str, tmp_path: Path, part: str) -> None:
     record = json.loads(Path(model_file).read_text(encoding="utf-8"))
     (eye,) = record["eyes"]
     if part == "panel":
@@ -121,7 +121,7 @@ def test_colours_of_different_headsets_are_refused(model_file, tmp_path, part):
         open_colours(model_file, "right", other, Path(model_file))
 
 
-def test_models_of_red_and_blue_go_with_a_model_of_green(model_file):
+def test_models_of_red_and_blue_go_with_a_model_of_green(model_file: str) -> None:
     for red, blue in ((None, None), (Path(model_file), None), (None, Path(model_file))):
         with pytest.raises(BadInputError, match=r"is a model of one colour; give --red-model and --blue-model as well"):
             open_colours(model_file, "right", red, blue)
@@ -129,7 +129,7 @@ def test_models_of_red_and_blue_go_with_a_model_of_green(model_file):
         open_colours("no_optics", "right", Path(model_file), Path(model_file))
 
 
-def test_a_headset_is_a_file_of_this_path(model_file, straight_device):
+def test_a_headset_is_a_file_of_this_path(model_file: str, straight_device: str) -> None:
     assert headset_path(model_file) == Path(model_file)
     assert headset_path(straight_device) == Path(straight_device)
     assert headset_path("northstar").is_file()

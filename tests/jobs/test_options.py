@@ -1,13 +1,15 @@
 """Options check themselves: the command line and scripts are refused the same values in the same words."""
 
 import importlib
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, is_dataclass, replace
-from typing import Annotated, Literal, get_args, get_origin, get_type_hints
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
 
-from wlr_render.cli import VERBS, main
+from wlr_render.cli import VERBS, Verb, main
 from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import shown
 from wlr_render.jobs.options import OnlyWith, Options, Range, described
@@ -38,13 +40,13 @@ class DrawOptions(Options):
         ({"shadows": True}, "--shadows is used with --method rays only; leave it out, or give --method rays."),
     ],
 )
-def test_values_out_of_range_and_unused_options_are_refused(values, sentence):
+def test_values_out_of_range_and_unused_options_are_refused(values: dict[str, Any], sentence: str) -> None:
     with pytest.raises(BadInputError) as refused:
         DrawOptions("desk", **values)
     assert str(refused.value) == sentence
 
 
-def options_of(verb):
+def options_of(verb: Verb) -> list[Any]:
     """The dataclass of a verb's options, and those inside it."""
     module, name = verb.function.split(":")
     function = getattr(importlib.import_module(f"wlr_render.jobs.{module}"), name)
@@ -54,12 +56,12 @@ def options_of(verb):
     return [each for each in found if issubclass(each, Options)]
 
 
-def holds_numbers(hint):
+def holds_numbers(hint) -> bool:
     return hint in (int, float) or (get_origin(hint) is not Literal and any(map(holds_numbers, get_args(hint))))
 
 
 @pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.words)
-def test_every_number_of_every_verb_has_limits_at_both_ends(verb):
+def test_every_number_of_every_verb_has_limits_at_both_ends(verb: Verb) -> None:
     for options in options_of(verb):
         for name, hint in get_type_hints(options, include_extras=True).items():
             if get_origin(hint) is Annotated and holds_numbers(get_args(hint)[0]):
@@ -92,14 +94,22 @@ def test_every_number_of_every_verb_has_limits_at_both_ends(verb):
         (["decode", "s", "--panel", "8x8", "--bits", "12", "--camera", "c.toml"], "both state the bits"),
     ],
 )
-def test_requests_out_of_range_are_refused_before_work_begins(arguments, words, tmp_path, monkeypatch, capsys):
+def test_requests_out_of_range_are_refused_before_work_begins(
+    arguments: Sequence[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2
     assert words in " ".join(capsys.readouterr().err.split())
     assert not list(tmp_path.iterdir())
 
 
-def test_only_the_output_folder_in_use_must_be_usable(tmp_path, monkeypatch, capsys):
+def test_only_the_output_folder_in_use_must_be_usable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "out").write_text("a file")
     monkeypatch.chdir(tmp_path)
     BoardOptions()  # as import of the job does, for its default argument
@@ -108,6 +118,6 @@ def test_only_the_output_folder_in_use_must_be_usable(tmp_path, monkeypatch, cap
     assert "out/board: cannot write to this output folder" in capsys.readouterr().err
 
 
-def test_good_values_pass():
+def test_good_values_pass() -> None:
     options = DrawOptions("desk", method="rays", shadows=True, rate=0.5, limit=1)
     assert replace(options, limit=3).limit == 3

@@ -3,29 +3,41 @@
 import hashlib
 import json
 import tarfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from jobs.test_render import metadata
+from present import present
 
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.render import RenderOptions, render
+from wlr_render.jobs.render import render
+from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.models.model_file import load_eye_model
+from wlr_render.report.blocks import Report
 from wlr_render.scene.image_files import read_png
 
 KEYS = [f"{eye}-00000{number}" for number in (0, 1) for eye in ("left", "right")]
 
 
 @pytest.fixture(scope="module")
-def frames_of(tmp_path_factory, straight_device, scene_file):
+def frames_of(
+    tmp_path_factory: pytest.TempPathFactory, straight_device: str, scene_file: str
+) -> Callable[..., RenderOptions]:
     """A function that draws two frames of each eye, with any layers, into a folder that nobody else has."""
 
-    def draw(**others):
+    def draw(**others: Any) -> RenderOptions:
         folder = tmp_path_factory.mktemp("sequence")
         (folder / "head.tum").write_text("0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 1\n")
-        given = {"head": folder / "head.tum", "frames_per_second": 10.0, "eye": "both", "method": "raytrace"}
+        given: dict[str, Any] = {
+            "head": folder / "head.tum",
+            "frames_per_second": 10.0,
+            "eye": "both",
+            "method": "raytrace",
+        }
         options = RenderOptions(straight_device, scene_file, out=folder / "frames", **given, **others)
         render(options)
         return options
@@ -34,24 +46,24 @@ def frames_of(tmp_path_factory, straight_device, scene_file):
 
 
 @pytest.fixture
-def labelled(frames_of, straight_device):
+def labelled(frames_of: Callable[..., RenderOptions], straight_device: str) -> RenderOptions:
     pytest.importorskip("OpenEXR")
     return frames_of(layers=("depth", "instance"), misalignment=straight_device)
 
 
-def packed(drawn, layout, **size):
+def packed(drawn: RenderOptions, layout: str, **size: Any) -> tuple[Report, Any]:
     """Pack frames that are drawn already; returns the report and the folder of the data set."""
     report = render(replace(drawn, pack=layout, **size))
     assert report.verdict.startswith("0 frames drawn")
     return report, drawn.out / layout
 
 
-def members(path):
+def members(path: Path) -> dict[Any, Any]:
     with tarfile.open(path) as shard:
-        return {about.name: shard.extractfile(about).read() for about in shard.getmembers()}
+        return {about.name: present(shard.extractfile(about)).read() for about in shard.getmembers()}
 
 
-def test_shards_hold_each_frame_with_its_layers_and_metadata(labelled):
+def test_shards_hold_each_frame_with_its_layers_and_metadata(labelled: RenderOptions) -> None:
     report, folder = packed(labelled, "webdataset", frames_per_shard=3)
     paths = [folder / f"frames-00000{number}.tar" for number in (0, 1)]
     assert set(paths) == set(folder.iterdir()) <= set(report.files)
@@ -81,7 +93,7 @@ def test_shards_hold_each_frame_with_its_layers_and_metadata(labelled):
     assert [path.read_bytes() for path in paths] == before
 
 
-def test_an_image_folder_has_a_line_and_a_picture_for_each_frame(labelled):
+def test_an_image_folder_has_a_line_and_a_picture_for_each_frame(labelled: RenderOptions) -> None:
     folder = packed(labelled, "huggingface")[1] / "train"
     rows = [json.loads(line) for line in (folder / "metadata.jsonl").read_text().splitlines()]
     assert [row["file_name"] for row in rows] == [f"{key}.png" for key in KEYS]
@@ -94,7 +106,9 @@ def test_an_image_folder_has_a_line_and_a_picture_for_each_frame(labelled):
 
 
 @pytest.mark.parametrize("layout", ["webdataset", "huggingface"])
-def test_a_data_set_names_its_sources_and_no_path_of_this_machine(model_file, scene_file, tmp_path, layout):
+def test_a_data_set_names_its_sources_and_no_path_of_this_machine(
+    model_file: str, scene_file: str, tmp_path: Path, layout: str
+) -> None:
     """Who gets it can tell two headsets by their names and hashes."""
     render(RenderOptions(model_file, scene_file, method="raytrace", pack=layout, out=tmp_path / "secret"))
     folder = tmp_path / "secret" / layout
@@ -112,7 +126,9 @@ def test_a_data_set_names_its_sources_and_no_path_of_this_machine(model_file, sc
                 assert str(place).encode() not in path.read_bytes(), path
 
 
-def test_hugging_face_reads_the_image_folder(labelled, tmp_path, monkeypatch):
+def test_hugging_face_reads_the_image_folder(
+    labelled: RenderOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """pip install datasets."""
     monkeypatch.setenv("HF_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
@@ -127,7 +143,7 @@ def test_hugging_face_reads_the_image_folder(labelled, tmp_path, monkeypatch):
         assert row["misalignment"]["points"] > 100
 
 
-def test_webdataset_reads_the_shards(labelled):
+def test_webdataset_reads_the_shards(labelled: RenderOptions) -> None:
     """pip install webdataset."""
     webdataset = pytest.importorskip("webdataset", reason="webdataset is not installed: pip install webdataset.")
     _, folder = packed(labelled, "webdataset", frames_per_shard=2)
@@ -140,7 +156,7 @@ def test_webdataset_reads_the_shards(labelled):
         assert sample["exr"] == (labelled.out / f"{sample['__key__']}.exr").read_bytes()
 
 
-def test_frames_without_layers_are_packed_too(frames_of):
+def test_frames_without_layers_are_packed_too(frames_of: Callable[..., RenderOptions]) -> None:
     drawn = frames_of()
     found = members(packed(drawn, "webdataset")[1] / "frames-000000.tar")
     assert list(found) == [f"{key}.{suffix}" for key in KEYS for suffix in ("json", "png")]
@@ -149,7 +165,9 @@ def test_frames_without_layers_are_packed_too(frames_of):
 
 
 @pytest.mark.usefixtures("known_warp_grid")
-def test_the_predicted_error_of_a_frame_is_packed_without_its_map(model_file, scene_file, tmp_path):
+def test_the_predicted_error_of_a_frame_is_packed_without_its_map(
+    model_file: str, scene_file: str, tmp_path: Path
+) -> None:
     drawn = RenderOptions(model_file, scene_file, method="raytrace", predicted_error=0.5, out=tmp_path / "frames")
     render(drawn)
     stated = metadata(drawn.out)[0]["predicted_error"]
@@ -164,7 +182,7 @@ def test_the_predicted_error_of_a_frame_is_packed_without_its_map(model_file, sc
 
 
 @pytest.mark.parametrize("name", ["right-000001.png", "left-000001.exr", "left-000000-labels.json"])
-def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_packed(labelled, name):
+def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_packed(labelled: RenderOptions, name: str) -> None:
     path = labelled.out / name
     drawn = path.read_bytes()
     path.write_bytes(drawn[:-1] + b"x")
@@ -173,7 +191,7 @@ def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_packed(labelled,
     assert path.read_bytes() == drawn
 
 
-def test_what_a_killed_pack_left_is_no_part_of_the_data_set(frames_of):
+def test_what_a_killed_pack_left_is_no_part_of_the_data_set(frames_of: Callable[..., RenderOptions]) -> None:
     drawn = frames_of()
     left = drawn.out / ".wlr-part-pack"
     left.mkdir(parents=True)
@@ -184,7 +202,9 @@ def test_what_a_killed_pack_left_is_no_part_of_the_data_set(frames_of):
 
 
 @pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), KeyboardInterrupt()], ids=["disk", "ctrl-c"])
-def test_a_pack_that_ends_while_it_is_moved_leaves_nothing(frames_of, monkeypatch, fault):
+def test_a_pack_that_ends_while_it_is_moved_leaves_nothing(
+    frames_of: Callable[..., RenderOptions], monkeypatch: pytest.MonkeyPatch, fault: KeyboardInterrupt | OSError
+) -> None:
     drawn, before = frames_of(), Path.replace
 
     def replace_or_fail(path, target):
@@ -201,7 +221,7 @@ def test_a_pack_that_ends_while_it_is_moved_leaves_nothing(frames_of, monkeypatc
     packed(drawn, "webdataset")
 
 
-def test_a_folder_of_other_files_is_not_replaced(frames_of):
+def test_a_folder_of_other_files_is_not_replaced(frames_of: Callable[..., RenderOptions]) -> None:
     drawn = frames_of()
     mine = drawn.out / "huggingface" / "notes.txt"
     mine.parent.mkdir()

@@ -4,9 +4,11 @@ import gzip
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from _pytest.capture import CaptureResult
 from oracle import captures as oracle_captures
 from oracle.captures import Plan
 from oracle.effects import Effect
@@ -33,7 +35,7 @@ OTHER_TURNS = ((4.0, -7.0, 20.0), (-8.0, 3.0, -15.0), (2.0, 9.0, 10.0))
 
 
 @pytest.fixture(scope="module")
-def first(tmp_path_factory):
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a session of a faulty bench."""
     folder = tmp_path_factory.mktemp("first") / "first"
     write_session(folder, PLAN, EFFECTS, np.random.default_rng(2))
@@ -41,7 +43,7 @@ def first(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def corrected(first, tmp_path_factory):
+def corrected(first: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of the same session with the bench that its diagnosis corrected."""
     nominal, session = load_session(first)
     causes = {name: CAUSES[name] for name in ("target_scale", "combiner_tilt", "camera_focal_length")}
@@ -51,7 +53,7 @@ def corrected(first, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def second(tmp_path_factory):
+def second(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of another session of the same bench, with other places of the camera and other poses of the targets."""
     folder = tmp_path_factory.mktemp("second") / "second"
     with pytest.MonkeyPatch.context() as patched:
@@ -61,22 +63,22 @@ def second(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def ordinary(tmp_path_factory):
+def ordinary(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a session of the same bench on a day when its stage repeats to 15 um and 30 urad."""
     folder = tmp_path_factory.mktemp("ordinary") / "ordinary"
     write_session(folder, PLAN, EFFECTS, np.random.default_rng(7), BenchNature(0.015, 30e-6))
     return folder
 
 
-def run(capsys, *arguments):
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, CaptureResult]:
     status = main(["predict", *map(str, arguments)])
     return status, capsys.readouterr()
 
 
 @pytest.mark.slow
 def test_a_corrected_bench_predicts_another_session_to_the_noise_and_the_nominal_one_does_not(
-    corrected, first, second, tmp_path, capsys
-):
+    corrected: Path, first: Path, second: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     status, printed = run(capsys, corrected, second, "--out", tmp_path)
     assert status == 0
     assert printed.out.startswith(f"{corrected} predicts the 90 captures of second to noise and repeatability. ")
@@ -103,8 +105,8 @@ def test_a_corrected_bench_predicts_another_session_to_the_noise_and_the_nominal
 
 
 def test_on_a_bench_whose_stage_repeats_imperfectly_the_corrected_bench_predicts_and_the_nominal_does_not(
-    corrected, first, ordinary, tmp_path, capsys
-):
+    corrected: Path, first: Path, ordinary: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Motions of 15 um and 30 urad from capture to capture are several times the noise of a point."""
     assert run(capsys, corrected, ordinary, "--out", tmp_path / "out")[0] == 0
     record = json.loads((tmp_path / "out" / "report.json").read_text())
@@ -120,7 +122,9 @@ def test_on_a_bench_whose_stage_repeats_imperfectly_the_corrected_bench_predicts
     assert not any(part["is_noise"] for part in record["parts"])
 
 
-def test_one_capture_is_enough(corrected, second, tmp_path, capsys):
+def test_one_capture_is_enough(
+    corrected: Path, second: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "one"
     shutil.copytree(second, folder)
     table = folder / "seethrough.csv.gz"
@@ -139,7 +143,9 @@ def test_one_capture_is_enough(corrected, second, tmp_path, capsys):
     assert capture["readings"] == len(kept)
 
 
-def test_the_noise_is_what_the_session_states_and_what_its_photographs_show(corrected, second, tmp_path, capsys):
+def test_the_noise_is_what_the_session_states_and_what_its_photographs_show(
+    corrected: Path, second: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "noisy"
     shutil.copytree(second, folder)
     bench = folder / "bench.toml"
@@ -152,16 +158,19 @@ def test_the_noise_is_what_the_session_states_and_what_its_photographs_show(corr
         assert part["whitened"] == pytest.approx(1.0, abs=0.05)
 
 
-def test_misread_points_are_counted_and_do_not_decide(corrected, second):
+def test_misread_points_are_counted_and_do_not_decide(corrected: Path, second: Path) -> None:
     own, session = load_session(second)
     bench = bench_for_session(load_bench(corrected / "bench.toml"), own, corrected, second)
+    assert session.readings.dot_pixel is not None
     session.readings.dot_pixel[::100] += 30.0
     found = predict_session(bench, session)
     assert found.outliers == len(session.readings.dot_pixel[::100])
     assert all(part.is_noise for part in found.parts)
 
 
-def test_captures_test_the_optics_of_the_bench_only(corrected, first, tmp_path, capsys):
+def test_captures_test_the_optics_of_the_bench_only(
+    corrected: Path, first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     nominal, session = load_session(first)
     captures = captures_of(replace(nominal, target=load_bench(corrected / "bench.toml").target), session)
     path = captures.save(tmp_path / "captures-right.npz")
@@ -172,7 +181,9 @@ def test_captures_test_the_optics_of_the_bench_only(corrected, first, tmp_path, 
         assert "only the headset's optics are tested" in printed.out
 
 
-def test_a_slip_of_the_other_session_is_named_with_what_it_does(corrected, second, tmp_path, capsys):
+def test_a_slip_of_the_other_session_is_named_with_what_it_does(
+    corrected: Path, second: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bench = load_bench(corrected / "bench.toml")
     slipped = replace(bench, mount=Mount(slip_time_s=600.0, slip=np.array([5e-4, 0.0, 0.0])))
     path = save_bench(slipped, tmp_path / "slipped.toml")
@@ -183,14 +194,16 @@ def test_a_slip_of_the_other_session_is_named_with_what_it_does(corrected, secon
     assert any("a slip at 600 s" in warning for warning in record["warnings"])
 
 
-def test_diagnose_with_the_bench_of_another_session_keeps_the_session_s_target_poses(corrected, second):
+def test_diagnose_with_the_bench_of_another_session_keeps_the_session_s_target_poses(
+    corrected: Path, second: Path
+) -> None:
     own, _ = load_session(second)
     bench, _ = load_session(second, corrected / "bench.toml")
     np.testing.assert_array_equal(bench.target.device_from_target, own.target.device_from_target)
     np.testing.assert_allclose(bench.target.scale, 1.004, atol=4e-4)
 
 
-def test_bows_of_single_poses_go_with_the_pitch_or_are_refused(corrected):
+def test_bows_of_single_poses_go_with_the_pitch_or_are_refused(corrected: Path) -> None:
     bench = load_bench(corrected / "bench.toml")
     bows = np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])
     bowed = replace(bench, target=replace(bench.target, bow=bows))
@@ -202,7 +215,9 @@ def test_bows_of_single_poses_go_with_the_pitch_or_are_refused(corrected):
         bench_for_session(bowed, other, "bench.toml", "session")
 
 
-def test_faults_are_one_sentence(corrected, second, tmp_path, capsys):
+def test_faults_are_one_sentence(
+    corrected: Path, second: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     other = tmp_path / "other.toml"
     other.write_text((second / "bench.toml").read_text().replace('device = "northstar"', 'device = "birdbath28"'))
     empty = tmp_path / "empty"

@@ -1,5 +1,7 @@
 """Boards that a lab prints."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.jobs.print_board import BoardOptions, board
 
 
-def test_a_board_is_written_to_be_printed_and_to_be_read(tmp_path):
+def test_a_board_is_written_to_be_printed_and_to_be_read(tmp_path: Path) -> None:
     svg, png, record = board(BoardOptions(columns=9, rows=7, dpi=100, seed=3, out=tmp_path)).files
     read = load_board(record)
     assert np.array_equal(read.large, design_board(9, 7, 0.02, seed=3).large)
@@ -32,7 +34,9 @@ def test_a_board_is_written_to_be_printed_and_to_be_read(tmp_path):
         ("asymmetric-circles", 4, 11, 44),
     ],
 )
-def test_boards_of_every_kind_are_written_and_found(tmp_path, kind, columns, rows, features):
+def test_boards_of_every_kind_are_written_and_found(
+    tmp_path: Path, kind: str, columns: int, rows: int, features: int
+) -> None:
     report = board(BoardOptions(kind=kind, columns=columns, rows=rows, pitch_mm=40, dpi=100, out=tmp_path))
     _, png, record = report.files
     read = load_board(record)
@@ -41,13 +45,13 @@ def test_boards_of_every_kind_are_written_and_found(tmp_path, kind, columns, row
     assert len(read.find(read_photograph(png))) >= 0.95 * features
 
 
-def test_a_board_that_would_look_the_same_turned_is_refused(tmp_path):
+def test_a_board_that_would_look_the_same_turned_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"chessboard of 8 x 8: .* looks the same turned by 90 degrees"):
         board(BoardOptions(kind="chessboard", columns=8, rows=8, out=tmp_path))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_cannot_be_made_is_refused_and_nothing_written(tmp_path):
+def test_what_cannot_be_made_is_refused_and_nothing_written(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="take at least 5 x 5"):
         board(BoardOptions(columns=2, rows=2, out=tmp_path / "b"))
     assert list(tmp_path.iterdir()) == []

@@ -2,17 +2,22 @@ import json
 import os
 import shutil
 import sys
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
 
 from wlr_render.budget.registration_budget import registration_covariance
+from wlr_render.draw.painters import Frame
 from wlr_render.draw.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
 from wlr_render.gl import gl
+from wlr_render.gl.context import GlContext
 from wlr_render.io import kept
 from wlr_render.jobs import frame_drawing
 from wlr_render.jobs.budget import opened_with_sizes
@@ -20,48 +25,57 @@ from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.demo import DemoOptions, demo
 from wlr_render.jobs.frame_plan import motion_of, planned_frames
 from wlr_render.jobs.headset import open_eye
-from wlr_render.jobs.render import RenderOptions, render
-from wlr_render.mappings import EyeBox
+from wlr_render.jobs.render import render
+from wlr_render.jobs.render_options import RenderOptions
+from wlr_render.mappings import Eye, EyeBox
 from wlr_render.models.model_file import load_eye_model, save_eye_models
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.report.blocks import Report
 from wlr_render.scene.image_files import read_map, read_png, write_png
 from wlr_render.tracking.eye_trajectory_file import write_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import write_head_trajectory_tum
 from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory, ViewpointTrack
 
 
-def still_head(path, times, turn_rate=0.05):
+def still_head(path: Path, times: FloatArray | Sequence[Any], turn_rate: float = 0.05) -> Path:
     """A head at the origin that turns slowly about the vertical."""
     angle = turn_rate * np.asarray(times)
     xyzw = np.stack([0 * angle, np.sin(angle / 2), 0 * angle, np.cos(angle / 2)], axis=-1)
     return write_head_trajectory_tum(path, HeadTrajectory(np.asarray(times), np.zeros((len(times), 3)), xyzw))
 
 
-def moving_pupil(path, eye, times, centre, step_m=(0.001, 0.0005, 0.0)):
+def moving_pupil(
+    path: Path,
+    eye: str,
+    times: FloatArray | Sequence[Any],
+    centre: FloatArray,
+    step_m: tuple[float, float, float] = (0.001, 0.0005, 0.0),
+) -> Path:
     """A pupil that leaves `centre` at so many metres per second."""
     track = ViewpointTrack(np.asarray(times), centre + np.outer(np.asarray(times) - times[0], step_m))
     return write_eye_trajectory(path, EyeTrajectory({eye: track}))
 
 
-def counts(report):
+def counts(report: Report) -> tuple[Any, Any]:
     """Frames drawn and kept."""
     return report.record["frames_drawn"], report.record["frames_kept"]
 
 
-def metadata(folder):
+def metadata(folder: Path) -> list[Any]:
     """Facts of each frame."""
     return [json.loads(line) for line in (Path(folder) / "metadata.jsonl").read_text().splitlines()]
 
 
-def pictures(folder):
+def pictures(folder: Path) -> dict[Any, Any]:
     return {path.name: path.read_bytes() for path in sorted(Path(folder).glob("*.png"))}
 
 
 @pytest.fixture
-def options(tmp_path, straight_device, scene_file, gl_context):
+def options(tmp_path: Path, straight_device: str, scene_file: str, gl_context: GlContext) -> RenderOptions:
     return RenderOptions(straight_device, scene_file, out=tmp_path / "frames")
 
 
-def moving_wearer(folder, headset, scene):
+def moving_wearer(folder: Path, headset: str, scene: str) -> RenderOptions:
     """Five frames of a headset whose wearer moves head and eyes."""
     centre = open_eye(headset).eye_box.centre
     return RenderOptions(
@@ -75,18 +89,18 @@ def moving_wearer(folder, headset, scene):
 
 
 @pytest.fixture
-def moving(tmp_path, straight_device, scene_file, gl_context):
+def moving(tmp_path: Path, straight_device: str, scene_file: str, gl_context: GlContext) -> RenderOptions:
     return moving_wearer(tmp_path, straight_device, scene_file)
 
 
 @pytest.fixture
-def fitted(tmp_path, model_file, scene_file, gl_context):
+def fitted(tmp_path: Path, model_file: str, scene_file: str, gl_context: GlContext) -> RenderOptions:
     """The same of a fitted headset."""
     return moving_wearer(tmp_path, model_file, scene_file)
 
 
 @pytest.mark.slow
-def test_frames_cover_what_both_tracks_cover_and_the_record_says_from_where(moving):
+def test_frames_cover_what_both_tracks_cover_and_the_record_says_from_where(moving: RenderOptions) -> None:
     assert counts(render(moving)) == (5, 0)
     frames = metadata(moving.out)
     assert [frame["file_name"] for frame in frames] == [f"right-{k:06d}.png" for k in range(5)]
@@ -103,7 +117,9 @@ def test_frames_cover_what_both_tracks_cover_and_the_record_says_from_where(movi
 
 
 @pytest.mark.slow
-def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_same(fitted, tmp_path):
+def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_same(
+    fitted: RenderOptions, tmp_path: Path
+) -> None:
     render(fitted)
     again = replace(fitted, out=tmp_path / "resumed")
     assert counts(render(replace(again, frame_limit=2))) == (2, 0)
@@ -118,14 +134,16 @@ def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_sa
     assert len(set(pictures(fitted.out).values())) == 5
 
 
-def test_a_sequence_that_filled_the_disk_ends_up_the_same_when_there_is_space_again(moving, tmp_path):
+def test_a_sequence_that_filled_the_disk_ends_up_the_same_when_there_is_space_again(
+    moving: RenderOptions, tmp_path: Path
+) -> None:
     """The first run stops at a frame that is larger than the system lets files be."""
     resource = pytest.importorskip("resource")
     render(moving)
     again = replace(moving, out=tmp_path / "resumed")
     before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
 
-    def disk_fills_up(items, total, label):
+    def disk_fills_up(items, total: object, label: object) -> Iterator[Any]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (min(map(len, pictures(moving.out).values())) - 1, most))
         yield from items
 
@@ -140,11 +158,13 @@ def test_a_sequence_that_filled_the_disk_ends_up_the_same_when_there_is_space_ag
 
 @pytest.mark.gl
 @pytest.mark.usefixtures("gl_context")
-def test_no_frame_depends_on_the_frames_before_it(options, tmp_path, monkeypatch):
+def test_no_frame_depends_on_the_frames_before_it(
+    options: RenderOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     painted = []
     paint = WarpedPainter.paint
 
-    def spy(painter, *given, **options):
+    def spy(painter, *given: object, **options: Any) -> Frame:
         painted.append(painter)
         return paint(painter, *given, **options)
 
@@ -160,8 +180,8 @@ def test_no_frame_depends_on_the_frames_before_it(options, tmp_path, monkeypatch
     assert pictures(both.out) == whole
 
 
-def test_an_interruption_leaves_whole_frames_only(options, monkeypatch):
-    def interrupt(items, total, label):
+def test_an_interruption_leaves_whole_frames_only(options: RenderOptions, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(items, total: object, label: object) -> Iterator[Any]:
         for number, item in enumerate(items):
             if number == 1:
                 raise KeyboardInterrupt
@@ -179,7 +199,9 @@ def test_an_interruption_leaves_whole_frames_only(options, monkeypatch):
 
 
 @pytest.mark.parametrize(("ball_z_m", "crossed_px"), [(-0.5, 0.0), (-0.3, 64e-3 * (0.5 / 0.3 - 1) / 5e-3)])
-def test_both_eyes_see_the_scene_from_their_own_side(options, tmp_path, ball_z_m, crossed_px):
+def test_both_eyes_see_the_scene_from_their_own_side(
+    options: RenderOptions, tmp_path: Path, ball_z_m: float, crossed_px: float
+) -> None:
     """Both panels lie in the plane z = -0.5 m, 5 mm to a pixel: what is nearer is seen crossed there."""
     device = tmp_path / "apart.toml"
     text = Path(options.headset).read_text(encoding="utf-8")
@@ -198,7 +220,7 @@ def test_both_eyes_see_the_scene_from_their_own_side(options, tmp_path, ball_z_m
     assert column["left"] - column["right"] == pytest.approx(crossed_px, abs=0.3)
 
 
-def test_frames_that_show_nothing_of_the_scene_are_named(options, tmp_path):
+def test_frames_that_show_nothing_of_the_scene_are_named(options: RenderOptions, tmp_path: Path) -> None:
     assert not [each for each in render(options).warnings if "nothing of the scene" in each]
     ball = Path(options.scene).read_text(encoding="utf-8").split("[[object]]")
     scene = tmp_path / "behind.toml"
@@ -211,7 +233,7 @@ def test_frames_that_show_nothing_of_the_scene_are_named(options, tmp_path):
         assert report.record["frames_drawn"] == drawn
 
 
-def test_burnt_out_frames_and_columns_that_are_not_read_are_named(options, tmp_path):
+def test_burnt_out_frames_and_columns_that_are_not_read_are_named(options: RenderOptions, tmp_path: Path) -> None:
     place = ",".join(f"{1e3 * each:.6f}" for each in open_eye(options.headset).eye_box.centre)
     track = tmp_path / "pupils.csv"
     names = "time_s,right_x_mm,right_y_mm,right_z_mm,confidence"
@@ -228,14 +250,16 @@ def test_burnt_out_frames_and_columns_that_are_not_read_are_named(options, tmp_p
     assert "[[light]] number 2' (683 times)" in burnt
 
 
-def test_more_frames_than_a_disk_holds_are_refused(moving, tmp_path):
+def test_more_frames_than_a_disk_holds_are_refused(moving: RenderOptions, tmp_path: Path) -> None:
     long = still_head(tmp_path / "long.tum", [0.0, 1e6])
     with pytest.raises(BadInputError, match=r"--fps 10 over 1e\+06 s are 10000001 frames; draw at most 1000000"):
         render(replace(moving, head=long, eye_track=None))
     assert not moving.out.exists()
 
 
-def test_a_sequence_whose_record_could_not_be_read_again_is_refused_before_it_is_drawn(moving, monkeypatch):
+def test_a_sequence_whose_record_could_not_be_read_again_is_refused_before_it_is_drawn(
+    moving: RenderOptions, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(kept, "LIMITS", replace(kept.LIMITS, record_bytes=2000))
     with pytest.raises(BadInputError, match=r"finished\.jsonl of 5 files would have 0 MB.*; cut the job into several"):
         render(moving)
@@ -256,14 +280,16 @@ def test_a_sequence_whose_record_could_not_be_read_again_is_refused_before_it_is
     ],
     ids=lambda change: next(iter(change)),
 )
-def test_a_folder_of_another_job_is_refused_and_left_as_it_is(options, tmp_path, change, reason):
+def test_a_folder_of_another_job_is_refused_and_left_as_it_is(
+    options: RenderOptions, tmp_path: Path, change: dict[str, Any], reason: str
+) -> None:
     head = still_head(tmp_path / "head.tum", [0.0, 0.2])
     job = replace(options, head=head, frames_per_second=10.0)
     render(job)
     refuses(replace(job, **change), reason)
 
 
-def refuses(job, reason):
+def refuses(job: RenderOptions, reason: str) -> None:
     """The folder of a job is refused for a reason, and left as it is."""
     before = {path.name: path.read_bytes() for path in job.out.iterdir()}
     with pytest.raises(BadInputError, match=r"frames: belongs to other options: .*; choose another") as got:
@@ -273,7 +299,7 @@ def refuses(job, reason):
 
 
 @pytest.mark.parametrize("name", ["device.toml", "scene.toml", "square.obj", "square.mtl", "square.png", "head.tum"])
-def test_a_file_that_has_changed_under_its_old_name_is_named(options, tmp_path, name):
+def test_a_file_that_has_changed_under_its_old_name_is_named(options: RenderOptions, tmp_path: Path, name: str) -> None:
     shutil.copy(options.headset, tmp_path / "device.toml")
     scene = Path(options.scene).read_text(encoding="utf-8")
     (tmp_path / "scene.toml").write_text(scene + '\n[[object]]\nmesh = "square.obj"\nposition_m = [0.0, 0.0, -1.0]\n')
@@ -282,7 +308,11 @@ def test_a_file_that_has_changed_under_its_old_name_is_named(options, tmp_path, 
     (tmp_path / "square.mtl").write_text("newmtl m\nKd 1 1 1\nmap_Kd square.png\n")
     write_png(tmp_path / "square.png", np.full((4, 4, 3), 200, np.uint8))
     head = still_head(tmp_path / "head.tum", [0.0, 0.2])
-    files = {"headset": str(tmp_path / "device.toml"), "scene": str(tmp_path / "scene.toml"), "head": head}
+    files: dict[str, Any] = {
+        "headset": str(tmp_path / "device.toml"),
+        "scene": str(tmp_path / "scene.toml"),
+        "head": head,
+    }
     job = replace(options, **files, frames_per_second=10.0)
     assert counts(render(job)) == (3, 0)
     assert counts(render(job)) == (0, 3)
@@ -310,7 +340,7 @@ def test_a_file_that_has_changed_under_its_old_name_is_named(options, tmp_path, 
     ],
     ids=lambda each: str(each)[:40],
 )
-def test_frames_of_unknown_origin_are_refused(options, ledger, sentence):
+def test_frames_of_unknown_origin_are_refused(options, ledger: int | str | None, sentence: str) -> None:
     options.out.mkdir()
     (options.out / "right-000000.png").write_bytes(b"a picture")
     path = options.out / "finished.jsonl"
@@ -328,7 +358,9 @@ def test_frames_of_unknown_origin_are_refused(options, ledger, sentence):
     assert (options.out / "right-000000.png").read_bytes() == b"a picture"
 
 
-def test_a_disk_that_is_full_when_a_frame_is_listed_ends_the_run_and_the_next_one_goes_on(moving, file_size_limit):
+def test_a_disk_that_is_full_when_a_frame_is_listed_ends_the_run_and_the_next_one_goes_on(
+    moving: RenderOptions, file_size_limit: Callable[[int], Iterator[None]]
+) -> None:
     render(moving)
     whole = pictures(moving.out)
     listed = moving.out / "finished.jsonl"
@@ -344,7 +376,7 @@ def test_a_disk_that_is_full_when_a_frame_is_listed_ends_the_run_and_the_next_on
 
 
 @pytest.mark.gl
-def test_backend_and_video_may_change_between_runs(options, gl_context):
+def test_backend_and_video_may_change_between_runs(options: RenderOptions, gl_context: GlContext) -> None:
     options = replace(options, backend="auto")
     render(options)
     assert counts(render(replace(options, backend=gl_context.backend, video=False))) == (0, 1)
@@ -354,7 +386,9 @@ def test_backend_and_video_may_change_between_runs(options, gl_context):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("known_warp_grid")
-def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(fitted, monkeypatch):
+def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(
+    fitted: RenderOptions, monkeypatch: pytest.MonkeyPatch
+) -> None:
     job = replace(fitted, predicted_error=0.5)
     report = render(job)
     maps = [read_map(job.out / f"right-{number:06d}-error.tiff") for number in range(5)]
@@ -386,7 +420,9 @@ def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(fitted,
 
 
 @pytest.mark.usefixtures("known_warp_grid")
-def test_a_model_without_covariance_has_no_predicted_error_and_writes_no_frame(fitted, tmp_path):
+def test_a_model_without_covariance_has_no_predicted_error_and_writes_no_frame(
+    fitted: RenderOptions, tmp_path: Path
+) -> None:
     model = load_eye_model(fitted.headset)
     bare = [replace(each, spread=None) for each in (model.mappings.display, model.mappings.see_through)]
     mappings = replace(model.mappings, display=bare[0], see_through=bare[1])
@@ -396,16 +432,23 @@ def test_a_model_without_covariance_has_no_predicted_error_and_writes_no_frame(f
     assert not fitted.out.exists()
 
 
-def test_a_sequence_is_continued_whatever_the_spelling_of_its_paths(options, tmp_path, monkeypatch):
+def test_a_sequence_is_continued_whatever_the_spelling_of_its_paths(
+    options: RenderOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder").mkdir()
     for name, path in (("device.toml", options.headset), ("scene.toml", options.scene)):
         shutil.copy(path, tmp_path / name)
     still_head(tmp_path / "head.tum", [0.0, 0.2])
-    names = {"headset": "device.toml", "scene": "scene.toml", "head": Path("head.tum"), "misalignment": "device.toml"}
+    names: dict[str, Any] = {
+        "headset": "device.toml",
+        "scene": "scene.toml",
+        "head": Path("head.tum"),
+        "misalignment": "device.toml",
+    }
     job = replace(options, **names, frames_per_second=10.0)
     assert counts(render(job)) == (3, 0)
-    moved = {
+    moved: dict[str, Any] = {
         "headset": f"{tmp_path}/device.toml",
         "scene": "./scene.toml",
         "head": tmp_path / "head.tum",
@@ -420,17 +463,19 @@ def test_a_sequence_is_continued_whatever_the_spelling_of_its_paths(options, tmp
     refuses(replace(job, headset="other.toml"), "--headset was device.toml and is other.toml")
 
 
-def test_exchanged_models_are_another_job(options, model_file, tmp_path, small_panel_model):
+def test_exchanged_models_are_another_job(
+    options: RenderOptions, model_file: str, tmp_path: Path, small_panel_model: Eye
+) -> None:
     """Both jobs read the same files."""
     other = tmp_path / "other.json"
     other.write_text(Path(model_file).read_text().replace('"fitted"', '"other"'))
-    given = {"headset": model_file, "red_model": Path(model_file), "blue_model": other}
+    given: dict[str, Any] = {"headset": model_file, "red_model": Path(model_file), "blue_model": other}
     job = replace(options, **given)
     render(job)
     refuses(replace(job, red_model=other, blue_model=Path(model_file)), f"--red-model was {model_file} and is {other}")
 
 
-def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_named(moving):
+def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_named(moving: RenderOptions) -> None:
     job = replace(moving, maps="tiff")
     render(job)
     whole = {path.name: path.read_bytes() for path in job.out.glob("right-*")}
@@ -455,8 +500,8 @@ def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_named(moving):
     assert (counts(render(job)), render(job).warnings) == ((0, 5), [])
 
 
-def test_a_second_job_in_the_same_folder_is_refused_at_once(options):
-    def second(items, total, label):
+def test_a_second_job_in_the_same_folder_is_refused_at_once(options: RenderOptions) -> None:
+    def second(items, total: object, label: object) -> Iterator[Any]:
         with pytest.raises(
             BadInputError, match=rf"frames: render \(process {os.getpid()}\) is writing into this folder"
         ):
@@ -504,13 +549,17 @@ def test_a_second_job_in_the_same_folder_is_refused_at_once(options):
     ],
     ids=str,
 )
-def test_contradictions_and_unknown_names_are_refused_before_anything_is_written(options, change, sentence):
+def test_contradictions_and_unknown_names_are_refused_before_anything_is_written(
+    options: RenderOptions, change: dict[str, Any], sentence: str
+) -> None:
     with pytest.raises(BadInputError, match=sentence):
         render(replace(options, **change))
     assert not options.out.exists() or not list(options.out.iterdir())
 
 
-def test_an_eye_that_the_model_does_not_hold_is_refused_with_the_remedy(options, model_file):
+def test_an_eye_that_the_model_does_not_hold_is_refused_with_the_remedy(
+    options: RenderOptions, model_file: str
+) -> None:
     with pytest.raises(
         BadInputError, match="is a model of the right eye; the left eye was asked for: calibrate it into"
     ):
@@ -518,8 +567,8 @@ def test_an_eye_that_the_model_does_not_hold_is_refused_with_the_remedy(options,
     assert not options.out.exists()
 
 
-def test_missing_opengl_leaves_nothing_behind(options, monkeypatch):
-    def refuse(backend="auto"):
+def test_missing_opengl_leaves_nothing_behind(options: RenderOptions, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(backend: object = "auto") -> NoReturn:
         raise MissingGlError("No OpenGL.")
 
     monkeypatch.setattr(gl, "open_context", refuse)
@@ -530,7 +579,9 @@ def test_missing_opengl_leaves_nothing_behind(options, monkeypatch):
     assert not options.out.exists()
 
 
-def test_path_traced_frames_resume_and_are_those_of_one_seed(mitsuba, options, tmp_path):
+def test_path_traced_frames_resume_and_are_those_of_one_seed(
+    mitsuba: ModuleType, options: RenderOptions, tmp_path: Path
+) -> None:
     options = replace(options, method="pathtrace", samples=3, eye_track=None)
     render(options)
     first = pictures(options.out)
@@ -542,7 +593,7 @@ def test_path_traced_frames_resume_and_are_those_of_one_seed(mitsuba, options, t
         assert (pictures(tmp_path / f"again{change}") == first) == is_same
 
 
-def test_missing_mitsuba_leaves_nothing_behind(options, monkeypatch):
+def test_missing_mitsuba_leaves_nothing_behind(options: RenderOptions, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     with pytest.raises(BadInputError, match=r"pip install 'mitsuba>="):
         render(replace(options, method="pathtrace"))
@@ -550,8 +601,10 @@ def test_missing_mitsuba_leaves_nothing_behind(options, monkeypatch):
 
 
 @pytest.mark.parametrize(("backend", "sentence"), [("cpu", "--backend cpu: frames are"), ("auto", "No OpenGL 4.1")])
-def test_without_opengl_frames_are_ray_traced_and_the_report_says_so(options, tmp_path, monkeypatch, backend, sentence):
-    def refuse(backend="auto"):
+def test_without_opengl_frames_are_ray_traced_and_the_report_says_so(
+    options: RenderOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: str, sentence: str
+) -> None:
+    def refuse(backend: object = "auto") -> NoReturn:
         raise MissingGlError("No OpenGL.")
 
     monkeypatch.setattr(gl, "open_context", refuse)
@@ -562,7 +615,7 @@ def test_without_opengl_frames_are_ray_traced_and_the_report_says_so(options, tm
     assert pictures(options.out) == pictures(tmp_path / "traced")
 
 
-def test_a_pupil_outside_the_eye_box_is_held_marked_and_counted(options, tmp_path):
+def test_a_pupil_outside_the_eye_box_is_held_marked_and_counted(options: RenderOptions, tmp_path: Path) -> None:
     # 20 mm/s enter the box, 10 mm wide, at 0.25 s and leave it after 0.75 s.
     track = moving_pupil(tmp_path / "eyes.txt", "right", [0.0, 1.0], np.array([-0.01, 0, 0]), step_m=(0.02, 0.0, 0.0))
     job = replace(options, eye_track=track, frames_per_second=10.0)
@@ -576,7 +629,7 @@ def test_a_pupil_outside_the_eye_box_is_held_marked_and_counted(options, tmp_pat
     assert f"{track}: the right pupil is outside the eye box in 6 of 11 frames, first at 0.0000 s" in sentence
 
 
-def test_frames_in_a_gap_of_a_track_are_held_marked_and_counted(options, tmp_path):
+def test_frames_in_a_gap_of_a_track_are_held_marked_and_counted(options: RenderOptions, tmp_path: Path) -> None:
     times = [0.0, 0.1, 0.5, 0.6, 0.7]  # a blink of 0.4 s
     centre = open_eye(options.headset).eye_box.centre
     track = moving_pupil(tmp_path / "eyes.txt", "right", times, centre, step_m=(0.001, 0.0, 0.0))
@@ -594,7 +647,7 @@ def test_frames_in_a_gap_of_a_track_are_held_marked_and_counted(options, tmp_pat
     ]
 
 
-def test_pupils_that_are_all_outside_the_eye_box_are_refused(options, tmp_path):
+def test_pupils_that_are_all_outside_the_eye_box_are_refused(options: RenderOptions, tmp_path: Path) -> None:
     track = moving_pupil(tmp_path / "eyes.txt", "right", [0.0, 1.0], np.array([0.006, 0.0, 0.0]))
     with pytest.raises(
         BadInputError, match=r"eyes\.txt at 0\.0000 s, right eye: the viewpoint \(6\.00, 0\.00, 0\.00\)"
@@ -603,7 +656,7 @@ def test_pupils_that_are_all_outside_the_eye_box_are_refused(options, tmp_path):
     assert not options.out.exists()
 
 
-def test_tracks_that_do_not_overlap_are_refused(options, tmp_path):
+def test_tracks_that_do_not_overlap_are_refused(options: RenderOptions, tmp_path: Path) -> None:
     head = still_head(tmp_path / "head.tum", [0.0, 1.0])
     eyes = moving_pupil(tmp_path / "eyes.txt", "right", [2.0, 3.0], np.zeros(3))
     with pytest.raises(BadInputError, match=r"head\.tum and .*eyes\.txt do not overlap in time"):
@@ -611,7 +664,7 @@ def test_tracks_that_do_not_overlap_are_refused(options, tmp_path):
     assert not options.out.exists()
 
 
-def test_tracks_out_of_order_are_refused_with_their_line(options, tmp_path):
+def test_tracks_out_of_order_are_refused_with_their_line(options: RenderOptions, tmp_path: Path) -> None:
     head = still_head(tmp_path / "head.tum", [0.0, 0.1, 0.2])
     comment, first, second, third = head.read_text().splitlines()
     head.write_text("\n".join([comment, first, third, second]) + "\n")
@@ -620,13 +673,13 @@ def test_tracks_out_of_order_are_refused_with_their_line(options, tmp_path):
     assert not options.out.exists()
 
 
-def test_an_eye_that_was_not_tracked_is_refused(options, tmp_path):
+def test_an_eye_that_was_not_tracked_is_refused(options: RenderOptions, tmp_path: Path) -> None:
     eyes = moving_pupil(tmp_path / "eyes.txt", "left", [0.0, 0.1], np.zeros(3))
     with pytest.raises(BadInputError, match=r"eyes\.txt: there is no eye 'right' in it, only left"):
         render(replace(options, eye_track=eyes))
 
 
-def test_the_last_frame_is_not_rounded_beyond_the_track(options, tmp_path):
+def test_the_last_frame_is_not_rounded_beyond_the_track(options: RenderOptions, tmp_path: Path) -> None:
     # 0.1 + 1 / 20 is more than 0.15 by one bit.
     head = still_head(tmp_path / "head.tum", [0.1, 0.15])
     job = replace(options, head=head, frames_per_second=20.0)
@@ -635,7 +688,7 @@ def test_the_last_frame_is_not_rounded_beyond_the_track(options, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ["tiff", "pfm"])
-def test_maps_lead_from_the_panel_into_the_intermediate_image(options, suffix):
+def test_maps_lead_from_the_panel_into_the_intermediate_image(options: RenderOptions, suffix: str) -> None:
     assert counts(render(replace(options, maps=suffix))) == (1, 0)
     source = read_map(options.out / f"right-000000.{suffix}")
     assert (source.shape, source.dtype) == ((36, 64, 3), np.float32)
@@ -660,7 +713,7 @@ def test_maps_lead_from_the_panel_into_the_intermediate_image(options, suffix):
         assert counts(render(replace(options, maps=suffix))) == (1, 0)
 
 
-def test_one_model_file_of_both_eyes_draws_both(options, model_file, tmp_path):
+def test_one_model_file_of_both_eyes_draws_both(options: RenderOptions, model_file: str, tmp_path: Path) -> None:
     right = load_eye_model(model_file)
     box = right.mappings.eye_box
     moved = replace(right.mappings, eye="left", eye_box=EyeBox(box.centre + [0.001, 0.002, 0.0], box.size))
@@ -673,7 +726,7 @@ def test_one_model_file_of_both_eyes_draws_both(options, model_file, tmp_path):
     assert len(set(pictures(options.out).values())) == 2
 
 
-def test_a_head_trajectory_in_milliseconds_is_asked_about(options, tmp_path):
+def test_a_head_trajectory_in_milliseconds_is_asked_about(options: RenderOptions, tmp_path: Path) -> None:
     times = np.arange(20) / 90
     job = replace(options, head=still_head(tmp_path / "head.tum", times), frame_limit=1)
     assert render(job).warnings == []
@@ -689,7 +742,7 @@ def test_a_head_trajectory_in_milliseconds_is_asked_about(options, tmp_path):
     assert sentence in (tmp_path / "slow" / "report.md").read_text()
 
 
-def test_the_report_lists_frames_inputs_and_files(moving):
+def test_the_report_lists_frames_inputs_and_files(moving: RenderOptions) -> None:
     report = render(moving)
     assert report.tables[0].rows == [["right", 5, 0.1, 0.5]]
     written = ["finished.jsonl", "metadata.jsonl", "report.html", "report.md", "report.json"]
@@ -699,19 +752,19 @@ def test_the_report_lists_frames_inputs_and_files(moving):
     assert (moving.out / "report.html").read_text().count("data:image/png;base64,") == 1
 
 
-def test_a_file_of_two_options_is_one_input(options, straight_device):
+def test_a_file_of_two_options_is_one_input(options: RenderOptions, straight_device: str) -> None:
     render(replace(options, method="raytrace", misalignment=straight_device))
     inputs = json.loads((options.out / "report.json").read_text())["provenance"]["inputs"]
     assert [file["name"] for file in inputs] == [options.headset, options.scene]
 
 
-def test_one_frame_may_be_asked_for_without_a_trajectory(options):
+def test_one_frame_may_be_asked_for_without_a_trajectory(options: RenderOptions) -> None:
     report = render(replace(options, frame_limit=1))
     assert counts(report) == (1, 0)
     assert report.verdict.startswith("1 frame drawn, 0 kept from an earlier run: 1 PNG in ")
 
 
-def test_the_verdict_counts_pictures_and_maps(options, tmp_path):
+def test_the_verdict_counts_pictures_and_maps(options: RenderOptions, tmp_path: Path) -> None:
     job = replace(options, head=still_head(tmp_path / "head.tum", [0.0, 0.1]), frames_per_second=10.0, frame_limit=2)
     for change, counted in (
         ({"maps": "pfm"}, "2 PNG, 2 PFM"),
@@ -723,7 +776,7 @@ def test_the_verdict_counts_pictures_and_maps(options, tmp_path):
         assert written in counted
 
 
-def test_three_models_alike_draw_what_one_draws(options, model_file, tmp_path):
+def test_three_models_alike_draw_what_one_draws(options: RenderOptions, model_file: str, tmp_path: Path) -> None:
     one = replace(options, headset=model_file)
     three = replace(one, red_model=Path(model_file), blue_model=Path(model_file), out=tmp_path / "three")
     for job in (one, three):
@@ -731,7 +784,7 @@ def test_three_models_alike_draw_what_one_draws(options, model_file, tmp_path):
     assert pictures(one.out) == pictures(three.out)
 
 
-def test_a_video_shows_the_frames(options, tmp_path):
+def test_a_video_shows_the_frames(options: RenderOptions, tmp_path: Path) -> None:
     head = still_head(tmp_path / "head.tum", [0.0, 0.2], turn_rate=0.3)
     job = replace(options, head=head, frames_per_second=10.0, video=True)
     try:
@@ -752,7 +805,9 @@ def test_a_video_shows_the_frames(options, tmp_path):
 
 @pytest.mark.gl
 @pytest.mark.usefixtures("gl_context")
-def test_ray_traced_frames_agree_with_rasterised_ones_and_can_be_refined(options, tmp_path):
+def test_ray_traced_frames_agree_with_rasterised_ones_and_can_be_refined(
+    options: RenderOptions, tmp_path: Path
+) -> None:
     jobs = {
         "raster": replace(options, backend="auto"),
         "raytrace": replace(options, method="raytrace", backend="auto", out=tmp_path / "traced"),

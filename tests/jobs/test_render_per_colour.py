@@ -1,15 +1,22 @@
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from small_headsets import prism_of_plastic
 
 from wlr_render.draw.raster_painter import WarpedPainter
 from wlr_render.draw.scene_raster import SceneRaster
 from wlr_render.evaluation.lateral_colour import lateral_colour
 from wlr_render.geometry import directions
+from wlr_render.gl.context import GlContext
 from wlr_render.jobs.headset import open_colours
-from wlr_render.jobs.render import RenderOptions, render
+from wlr_render.jobs.render import render
+from wlr_render.jobs.render_options import RenderOptions
+from wlr_render.mappings import Eye
 from wlr_render.numerics.srgb import decode_srgb
 from wlr_render.scene.image_files import read_map, read_png
 from wlr_render.scene.scene_file import load_scene
@@ -30,14 +37,14 @@ position_m = [-0.25, 0.15, -1.5]
 
 
 @pytest.fixture
-def colourful(tmp_path):
+def colourful(tmp_path: Path) -> RenderOptions:
     """A white disc near a corner of what a prism of 320 x 240 pixels shows."""
     scene = tmp_path / "disc.toml"
     scene.write_text(WHITE_DISC, encoding="utf-8")
     return RenderOptions(prism_of_plastic(tmp_path, 320, 240), str(scene), out=tmp_path / "colours")
 
 
-def seen_middles(picture, channels):
+def seen_middles(picture: NDArray[np.uint8], channels: tuple[Eye, ...]) -> NDArray[Any]:
     """Directions (3, 3) in which the eye sees the middle of what each colour of a picture shows."""
     light = decode_srgb(picture).astype(float)
     v, u = np.indices(light.shape[:2]) + 0.5
@@ -59,7 +66,9 @@ def seen_middles(picture, channels):
     ],
     ids=["raster", "raytrace"],
 )
-def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(colourful, way, unseen_arcmin):
+def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(
+    colourful: RenderOptions, way: Mapping[str, Any], unseen_arcmin: float
+) -> None:
     """Seen through the prism, whose glass spreads the colours of one pixel."""
     channels = open_colours(colourful.headset)
     fringe = {}
@@ -77,7 +86,9 @@ def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(colourful, way
 
 
 @pytest.mark.slow
-def test_the_picture_and_the_maps_are_those_of_the_three_colours(colourful, gl_context):
+def test_the_picture_and_the_maps_are_those_of_the_three_colours(
+    colourful: RenderOptions, gl_context: GlContext
+) -> None:
     render(replace(colourful, per_colour=True, maps="tiff"))
     channels, raster = open_colours(colourful.headset), SceneRaster(gl_context, load_scene(colourful.scene))
     drawn = read_png(colourful.out / "right-000000.png")

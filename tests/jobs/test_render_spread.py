@@ -1,32 +1,35 @@
 """Frames that several processes draw are those that one draws."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from jobs.test_render import moving_wearer, pictures
 
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import frame_drawing
-from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, draw_block
+from wlr_render.jobs.frame_drawing import FrameBlock, FrameDrawing, OpenedFiles, draw_block
 from wlr_render.jobs.frame_plan import motion_of, planned_frames
 from wlr_render.jobs.render import render
+from wlr_render.jobs.render_options import RenderOptions
 
 
 @pytest.fixture
-def moving(tmp_path, straight_device, scene_file):
+def moving(tmp_path: Path, straight_device: str, scene_file: str) -> RenderOptions:
     return moving_wearer(tmp_path, straight_device, scene_file)
 
 
-def whole(folder):
+def whole(folder: Path) -> dict[Any, Any]:
     """All files of a folder of frames but the report, which has a date."""
     listed = {path.name: path.read_bytes() for path in Path(folder).iterdir() if not path.name.startswith("report.")}
     return listed | {"finished.jsonl": sorted(listed["finished.jsonl"].splitlines())}
 
 
-def block_of(options):
+def block_of(options: RenderOptions) -> FrameBlock:
     opened = OpenedFiles.of(options)
     plan = planned_frames(motion_of(options), opened.middle())
     return FrameDrawing(options, opened, None).block(plan[:1])
@@ -34,7 +37,9 @@ def block_of(options):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", [{"method": "raster"}, {"method": "raytrace", "predicted_error": 0.5}], ids=str)
-def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(moving, tmp_path, monkeypatch, way):
+def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(
+    moving: RenderOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: Mapping[str, Any]
+) -> None:
     """And so are the predicted errors of frames."""
     monkeypatch.setattr(frame_drawing, "_BLOCKS", 2)
     options = replace(moving, **way)
@@ -51,7 +56,9 @@ def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(movi
 
 
 @pytest.mark.slow
-def test_the_process_of_the_job_opens_what_draws_only_if_it_draws(moving, monkeypatch):
+def test_the_process_of_the_job_opens_what_draws_only_if_it_draws(
+    moving: RenderOptions, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made, before = [], frame_drawing.FrameDrawing._painters.func
     painters = cached_property(lambda drawing: made.append(drawing) or before(drawing))
     painters.__set_name__(frame_drawing.FrameDrawing, "_painters")
@@ -63,7 +70,7 @@ def test_the_process_of_the_job_opens_what_draws_only_if_it_draws(moving, monkey
     assert len(made) == 1
 
 
-def test_a_worker_that_reads_another_file_is_refused(moving):
+def test_a_worker_that_reads_another_file_is_refused(moving: RenderOptions) -> None:
     options = replace(moving, method="raytrace")
     block = block_of(options)
     exchanged = dict(zip(block.inputs, reversed(block.inputs.values()), strict=True))
@@ -75,7 +82,7 @@ def test_a_worker_that_reads_another_file_is_refused(moving):
         draw_block(replace(block, has_opengl=True))
 
 
-def test_a_worker_releases_the_opengl_that_it_refuses(moving, monkeypatch):
+def test_a_worker_releases_the_opengl_that_it_refuses(moving: RenderOptions, monkeypatch: pytest.MonkeyPatch) -> None:
     released = []
     raster = SimpleNamespace(context=SimpleNamespace(release=lambda: released.append(True)))
     monkeypatch.setattr(frame_drawing, "open_raster", lambda *_: raster)
@@ -84,7 +91,9 @@ def test_a_worker_releases_the_opengl_that_it_refuses(moving, monkeypatch):
     assert released == [True]
 
 
-def test_a_worker_keeps_what_it_has_opened_for_the_frames_of_one_job(moving, monkeypatch):
+def test_a_worker_keeps_what_it_has_opened_for_the_frames_of_one_job(
+    moving: RenderOptions, monkeypatch: pytest.MonkeyPatch
+) -> None:
     opened, before = [], frame_drawing._open
     monkeypatch.setattr(frame_drawing, "_open", lambda block: opened.append(block) or before(block))
     moving.out.mkdir()
@@ -101,13 +110,15 @@ def test_a_worker_keeps_what_it_has_opened_for_the_frames_of_one_job(moving, mon
     assert pictures(elsewhere.out) == pictures(moving.out)
 
 
-def test_a_worker_opens_the_models_of_the_colours_again_when_they_are_exchanged(moving, model_file, monkeypatch):
+def test_a_worker_opens_the_models_of_the_colours_again_when_they_are_exchanged(
+    moving: RenderOptions, model_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     opened, before = [], frame_drawing._open
     monkeypatch.setattr(frame_drawing, "_open", lambda block: opened.append(block) or before(block))
     moving.out.mkdir()
     other = moving.out / "other.json"
     other.write_text(Path(model_file).read_text().replace('"fitted"', '"other"'))
-    colours = {"headset": model_file, "red_model": Path(model_file), "blue_model": other}
+    colours: dict[str, Any] = {"headset": model_file, "red_model": Path(model_file), "blue_model": other}
     options = replace(moving, **colours, method="raytrace", eye_track=None)
     for each in (options, options, replace(options, red_model=other, blue_model=Path(model_file))):
         draw_block(block_of(each))

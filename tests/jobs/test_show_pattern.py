@@ -8,10 +8,13 @@ import sys
 import threading
 import time
 import urllib.request
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from present import present
 
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photograph_format import PhotographFormat
@@ -28,18 +31,18 @@ CODE = make_pattern("gray", PANEL)
 class ImitatedPage(Progress):
     """Opens the page that the job names, and puts each picture that it shows into a file, the screen."""
 
-    def __init__(self, screen):
+    def __init__(self, screen: Path) -> None:
         self.screen, self.shown = screen, []
 
-    def say(self, text):
-        url = re.search(r"http://\S+/", text).group(0)
+    def say(self, text) -> None:
+        url = present(re.search(r"http://\S+/", text)).group(0)
         threading.Thread(target=self._run, args=(url,), daemon=True).start()
 
-    def _run(self, url):
+    def _run(self, url) -> None:
         with contextlib.suppress(OSError):  # the job has ended
             self._poll(url)
 
-    def _poll(self, url):
+    def _poll(self, url) -> None:
         with urllib.request.urlopen(url) as answer:
             root = answer.url.rsplit("/", 1)[0]
         number = -1
@@ -51,7 +54,7 @@ class ImitatedPage(Progress):
             number = wanted
             time.sleep(0.01)
 
-    def _show(self, root, number):
+    def _show(self, root, number) -> None:
         if 0 <= number < len(CODE.names()):
             name = f"{number:03d}_{CODE.names()[number].replace(' ', '_')}.png"
             with urllib.request.urlopen(f"{root}/{name}") as answer:
@@ -60,7 +63,7 @@ class ImitatedPage(Progress):
 
 
 @pytest.fixture
-def camera(tmp_path):
+def camera(tmp_path: Path) -> str:
     """A camera's program: copies the screen, and fails while there is a file `flat_battery`."""
     program = tmp_path / "camera.py"
     program.write_text(
@@ -72,20 +75,22 @@ def camera(tmp_path):
     return f"{sys.executable} -S -E {program} {{path}}"
 
 
-def options(tmp_path, camera, **others):
+def options(tmp_path: Path, camera: str, **others: Any) -> PatternOptions:
     given = {"panel": (8, 4), "pattern": "gray", "port": 0, "settle_s": 0.0, "page_timeout_s": 20.0, **others}
     return PatternOptions(out=tmp_path / "display" / "00", photograph=camera, **given)
 
 
 @pytest.fixture
-def quick(monkeypatch):
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wlr_render.jobs.show_pattern._STABLE_S", 0.02)
     monkeypatch.setattr("wlr_render.jobs.show_pattern._LOOK_S", 0.01)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_the_photographs_are_those_of_the_code_and_an_interrupted_capture_continues(tmp_path, camera):
+def test_the_photographs_are_those_of_the_code_and_an_interrupted_capture_continues(
+    tmp_path: Path, camera: str
+) -> None:
     (tmp_path / "flat_battery").touch()
     page, given = ImitatedPage(tmp_path / "screen"), options(tmp_path, camera)
     with pytest.raises(BadInputError, match=r"004_.*failed with status 1 \(the battery is flat\)"):
@@ -126,14 +131,15 @@ def test_the_photographs_are_those_of_the_code_and_an_interrupted_capture_contin
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_a_primary_alone(tmp_path, camera):
+def test_a_primary_alone(tmp_path: Path, camera: str) -> None:
     given = options(tmp_path, camera, channel="red")
     pattern(given, progress=ImitatedPage(tmp_path / "screen"))
     white = cv2.imread(str(given.out / "000_white.png"), cv2.IMREAD_UNCHANGED)
+    assert white is not None
     assert white.reshape(-1, 3).tolist() == [[0, 0, 255]] * white[..., 0].size
 
 
-def test_what_cannot_be_captured_is_refused_first(tmp_path, camera):
+def test_what_cannot_be_captured_is_refused_first(tmp_path: Path, camera: str) -> None:
     given = options(tmp_path, camera)
     given.out.mkdir(parents=True)
     (given.out / "holiday.jpg").touch()
@@ -143,13 +149,13 @@ def test_what_cannot_be_captured_is_refused_first(tmp_path, camera):
         pattern(options(tmp_path, "gphoto2"))
 
 
-def test_a_page_that_nobody_opens(tmp_path, camera):
+def test_a_page_that_nobody_opens(tmp_path: Path, camera: str) -> None:
     with pytest.raises(BadInputError, match=r"no page asked for a picture; open http://127.0.0.1:"):
         pattern(options(tmp_path, camera, page_timeout_s=0.2))
     assert not (tmp_path / "display" / "00").exists()
 
 
-def test_the_pictures_of_a_code_are_written_in_the_order_of_showing(tmp_path):
+def test_the_pictures_of_a_code_are_written_in_the_order_of_showing(tmp_path: Path) -> None:
     report = pattern(PatternOptions(panel=(64, 40), pattern="gray", out=tmp_path))
     (page,) = report.files
     code = make_pattern("gray", Panel(64, 40))
@@ -161,7 +167,7 @@ def test_the_pictures_of_a_code_are_written_in_the_order_of_showing(tmp_path):
     assert page.is_file()
 
 
-def test_what_cannot_be_shown_is_refused_and_nothing_written(tmp_path):
+def test_what_cannot_be_shown_is_refused_and_nothing_written(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="--pattern is grey; choose from gray"):
         pattern(PatternOptions(panel=(64, 40), pattern="grey", out=tmp_path / "a"))
     with pytest.raises(

@@ -1,6 +1,7 @@
 """Photographs that a camera's own program takes."""
 
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -8,7 +9,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.jobs.show_pattern import take_photograph
 
 
-def python(code):
+def python(code: str) -> str:
     return f'{sys.executable} -c "{code}" {{path}}'
 
 
@@ -22,7 +23,7 @@ BEHIND = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("code", "size"), [(SLOW, 15), (BEHIND, 2)])
-def test_the_file_is_complete_when_it_has_its_name(code, size, tmp_path):
+def test_the_file_is_complete_when_it_has_its_name(code: str, size: int, tmp_path: Path) -> None:
     """Also of a command that ends before its file is written."""
     path = tmp_path / "a b" / "000_white.png"
     path.parent.mkdir()
@@ -31,7 +32,7 @@ def test_the_file_is_complete_when_it_has_its_name(code, size, tmp_path):
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_what_an_interrupted_run_left_is_replaced(tmp_path):
+def test_what_an_interrupted_run_left_is_replaced(tmp_path: Path) -> None:
     (tmp_path / ".x.png").write_bytes(b"long ago and cut short")
     take_photograph(python("import sys; open(sys.argv[1], 'xb').write(b'new')"), tmp_path / "x.png", 10)
     assert (tmp_path / "x.png").read_bytes() == b"new"
@@ -50,7 +51,7 @@ def test_what_an_interrupted_run_left_is_replaced(tmp_path):
         (python("import time; time.sleep(30)"), r"did not end within 1 s; try it by hand"),
     ],
 )
-def test_what_goes_wrong_is_one_sentence(command, complaint, tmp_path):
+def test_what_goes_wrong_is_one_sentence(command: str, complaint: str, tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=complaint) as caught:
         take_photograph(command, tmp_path / "x.png", 1)
     assert "\n" not in str(caught.value)

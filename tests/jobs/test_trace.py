@@ -1,8 +1,10 @@
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from present import as_number, present
 
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import resource
@@ -12,15 +14,16 @@ from wlr_render.optics.drawing import draw_device
 from wlr_render.optics.first_order import first_order
 from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM
 from wlr_render.optics.ray_losses import display_losses
+from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.scene.image_files import read_png
 
 
-def traced(device, folder, eye="right"):
+def traced(device: str, folder: Path, eye: str = "right") -> Report:
     return trace(TraceOptions(device, eye=eye, out=folder))
 
 
 @pytest.mark.slow
-def test_figures_and_drawing_of_an_eye_are_written(tmp_path, straight_device):
+def test_figures_and_drawing_of_an_eye_are_written(tmp_path: Path, straight_device: str) -> None:
     report = traced(straight_device, tmp_path / "out", "left")
     names = ["no_optics-left.png", "report.html", "report.json", "report.md"]
     assert sorted(path.name for path in report.files) == names
@@ -37,26 +40,26 @@ def test_figures_and_drawing_of_an_eye_are_written(tmp_path, straight_device):
     assert all(row["world ray max"] < 1e-6 for row in colours)
 
 
-def test_colour_comes_from_the_two_ends_of_the_spectrum(tmp_path, small_northstar):
+def test_colour_comes_from_the_two_ends_of_the_spectrum(tmp_path: Path, small_northstar: str) -> None:
     rows = {row[0]: row[1:] for row in traced(small_northstar, tmp_path).tables[0].rows}
     mean, _, maximum = rows["see-through colour, blue to red"]
-    assert 0 < mean < maximum < rows["see-through deviation at infinity"][0]
+    assert 0 < as_number(present(mean)) < as_number(present(maximum)) < rows["see-through deviation at infinity"][0]
 
 
-def test_both_eyes_are_traced_and_mirror_each_other(tmp_path, small_northstar):
+def test_both_eyes_are_traced_and_mirror_each_other(tmp_path: Path, small_northstar: str) -> None:
     report = traced(small_northstar, tmp_path, "both")
     assert [path.suffix for path in report.files].count(".png") == 2
     left, _, _, _, right, *_ = report.tables
     assert left.rows[0][1] == pytest.approx(right.rows[0][1], rel=1e-9)
 
 
-def test_an_eye_that_is_not_there_writes_nothing(tmp_path):
+def test_an_eye_that_is_not_there_writes_nothing(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="no left eye"):
         traced("no_optics", tmp_path / "out", "left")
     assert not (tmp_path / "out").exists()
 
 
-def birdbath(tmp_path, *changes, name="changed"):
+def birdbath(tmp_path: Path, *changes: object, name: str = "changed") -> str:
     """A device file of the birdbath with parts of its text changed."""
     text = resource("devices", "birdbath28.toml").read_text(encoding="utf-8")
     for old, new in changes:
@@ -72,11 +75,11 @@ NO_FIELD = (r"field_deg = .*", "")
 NO_APERTURES = (r"(?m)^aperture.*$", "")
 
 
-def table(report, title):
+def table(report: Report, title: str) -> ReportTable:
     return next(each for each in report.tables if each.title == title)
 
 
-def test_a_mirror_of_the_wrong_sign_is_warned_about(tmp_path):
+def test_a_mirror_of_the_wrong_sign_is_warned_about(tmp_path: Path) -> None:
     assert traced("birdbath28", tmp_path / "right").warnings == []
     few, sign, near, nearer = traced(birdbath(tmp_path, WRONG_SIGN), tmp_path / "wrong").warnings
     assert few.startswith("Only 42 of 525 rays over the nominal field of the right eye reach the panel. The first to")
@@ -90,13 +93,13 @@ def test_a_mirror_of_the_wrong_sign_is_warned_about(tmp_path):
     )
 
 
-def test_a_wrong_sign_is_found_without_a_stated_field_and_without_apertures(tmp_path):
+def test_a_wrong_sign_is_found_without_a_stated_field_and_without_apertures(tmp_path: Path) -> None:
     warnings = traced(birdbath(tmp_path, WRONG_SIGN, NO_FIELD, NO_APERTURES), tmp_path / "wrong").warnings
     assert "where nobody can focus" in warnings[0]
     assert warnings[1].startswith("With 'mirror' bent to the other side, the virtual image would lie 2 m away (0.49")
 
 
-def test_a_panel_out_of_reach_is_drawn_and_explained(tmp_path):
+def test_a_panel_out_of_reach_is_drawn_and_explained(tmp_path: Path) -> None:
     report = traced(birdbath(tmp_path, (r"field_deg = .*", "field_deg = [60, 70, 60, 70]")), tmp_path / "out")
     assert "0 of 525 rays reach the panel" in report.verdict
     assert any("no direction of the nominal field of the right eye meets the panel" in each for each in report.warnings)
@@ -120,14 +123,18 @@ def test_a_panel_out_of_reach_is_drawn_and_explained(tmp_path):
         ),
     ],
 )
-def test_the_surface_that_loses_the_rays_is_named(tmp_path, change, surface, reason):
+def test_the_surface_that_loses_the_rays_is_named(
+    tmp_path: Path, change: tuple[str, str], surface: str, reason: str
+) -> None:
     optics = load_device(birdbath(tmp_path, change)).eyes["right"]
     first, *_ = loss_warnings(optics, "right", display_losses(optics, 0.55))
     assert f"The first to lose many is '{surface}'" in first
     assert reason in first
 
 
-def test_focal_length_image_distance_and_distortion_are_those_of_closed_form(tmp_path, straight_device):
+def test_focal_length_image_distance_and_distortion_are_those_of_closed_form(
+    tmp_path: Path, straight_device: str
+) -> None:
     """Without optics the panel itself is seen: as far as it stands, not magnified, not distorted."""
     rows = {row[0]: row[1:] for row in table(traced(straight_device, tmp_path), "Imaging of the panel").rows}
     assert rows["focal length (mm)"] == pytest.approx([500.0, 500.0], rel=1e-6)
@@ -136,7 +143,7 @@ def test_focal_length_image_distance_and_distortion_are_those_of_closed_form(tmp
     assert rows["distortion, largest (%)"][0] < 1e-6
 
 
-def test_a_spherical_mirror_images_as_its_equation_says(tmp_path):
+def test_a_spherical_mirror_images_as_its_equation_says(tmp_path: Path) -> None:
     rows = {row[0]: row[1:] for row in table(traced("birdbath28", tmp_path), "Imaging of the panel").rows}
     focal, distance = rows["focal length (mm)"][0], rows["distance of the virtual image (m)"][0]
     assert focal == pytest.approx(28.0, abs=0.5)  # half the radius
@@ -145,7 +152,7 @@ def test_a_spherical_mirror_images_as_its_equation_says(tmp_path):
     assert rows["distortion, largest (%)"][0] == pytest.approx(4.5, abs=0.2)
 
 
-def test_axes_stay_with_the_device_where_rays_and_surfaces_have_no_end(tmp_path):
+def test_axes_stay_with_the_device_where_rays_and_surfaces_have_no_end(tmp_path: Path) -> None:
     device = load_device(birdbath(tmp_path, NO_APERTURES, (r"rotate_x_deg = 45.0", "rotate_x_deg = 80.0")))
     path = tmp_path / "drawing.svg"
     draw_device(device, "right", path)
@@ -160,9 +167,9 @@ STEPS = ['  { at = "mirror", do = "reflect" },\n', '  { at = "splitter", do = "r
 NO_FIELD_OF_GUIDE = ("field_deg = [-18, 18, -10, 10]\n", "")
 
 
-def of_the_guide(tmp_path, *changes, surfaces=2):
+def of_the_guide(tmp_path: Path, *changes: object, surfaces: int = 2) -> str:
     """A file with the birdbath of docs/your-headset.md, its first surfaces only, and parts of its text replaced."""
-    text = re.search(r"```toml\n(.*?)```", GUIDE, re.DOTALL)[1]
+    text = present(re.search(r"```toml\n(.*?)```", GUIDE, re.DOTALL))[1]
     text = "[[eye.surface]]".join(text.split("[[eye.surface]]")[: 1 + surfaces])
     for old, new in changes:
         assert old in text
@@ -172,7 +179,7 @@ def of_the_guide(tmp_path, *changes, surfaces=2):
     return str(path)
 
 
-def test_the_headline_states_the_image_distance_at_the_middle_of_the_field(tmp_path):
+def test_the_headline_states_the_image_distance_at_the_middle_of_the_field(tmp_path: Path) -> None:
     """The panel of the guide stands in the focus: aberrations swim as if the image were 2 m away, but it is not."""
     report = traced(of_the_guide(tmp_path), tmp_path / "focus")
     assert "virtual image at infinity, picture upright, real" in report.verdict
@@ -183,7 +190,7 @@ def test_the_headline_states_the_image_distance_at_the_middle_of_the_field(tmp_p
     assert "virtual image 0.91 m away (1.1 dioptres)" in near.verdict
 
 
-def test_both_distances_of_an_astigmatic_image_are_stated(tmp_path):
+def test_both_distances_of_an_astigmatic_image_are_stated(tmp_path: Path) -> None:
     assert re.search(
         r"virtual image 1\.\d m away \(.* dioptres\) along x and 2\.\d m away \(.* dioptres\) along y, picture bottom",
         traced("freeform40", tmp_path).verdict,
@@ -200,7 +207,9 @@ def test_both_distances_of_an_astigmatic_image_are_stated(tmp_path):
         ("[0, 0, 1]", "[-1, 0, 0]", "turned by 90 degrees", "with them."),
     ],
 )
-def test_a_picture_that_does_not_appear_upright_is_noticed(tmp_path, u, v, short, remedy):
+def test_a_picture_that_does_not_appear_upright_is_noticed(
+    tmp_path: Path, u: str, v: str, short: str, remedy: str
+) -> None:
     axes = ("u_axis = [1, 0, 0]\nv_axis = [0, 0, 1]", f"u_axis = {u}\nv_axis = {v}")
     report = traced(of_the_guide(tmp_path, axes), tmp_path / "out")
     assert f", picture {short}, " in report.verdict
@@ -209,7 +218,7 @@ def test_a_picture_that_does_not_appear_upright_is_noticed(tmp_path, u, v, short
     assert warning.endswith(remedy)
 
 
-def test_an_upright_picture_is_stated(tmp_path):
+def test_an_upright_picture_is_stated(tmp_path: Path) -> None:
     notes = table(traced(of_the_guide(tmp_path), tmp_path / "out"), "Imaging of the panel").notes
     assert notes[-1] == "Orientation: u runs to the wearer's right, v downwards: the picture is upright."
 
@@ -245,19 +254,19 @@ TOROID = 'shape = "toroid"\nradius_x_mm = {}\nradius_y_mm = {}'
         ),
     ],
 )
-def test_one_mistake_of_the_description_is_named(tmp_path, old, new, hint):
+def test_one_mistake_of_the_description_is_named(tmp_path: Path, old: str, new: str, hint: str) -> None:
     optics = load_device(of_the_guide(tmp_path, (old, new))).eyes["right"]
     _, *hints = loss_warnings(optics, "right", display_losses(optics, 0.55))
     assert hints == [hint]
 
 
-def test_a_panel_out_of_focus_is_named_before_the_radii(tmp_path):
+def test_a_panel_out_of_focus_is_named_before_the_radii(tmp_path: Path) -> None:
     report = traced(of_the_guide(tmp_path, ("[0, -12, 20]", "[0, -22, 20]")), tmp_path / "out")
     (warning,) = report.warnings
     assert warning.endswith("check the distance of the panel (its centre_mm) first, then the radii.")
 
 
-def test_rays_that_run_away_from_the_panel_are_counted_apart_from_those_that_miss_its_plane(tmp_path):
+def test_rays_that_run_away_from_the_panel_are_counted_apart_from_those_that_miss_its_plane(tmp_path: Path) -> None:
     optics = load_device(of_the_guide(tmp_path, ("[0, -12, 20]", "[0, 12, 20]"))).eyes["right"]
     reasons = display_losses(optics, 0.55)[-1].reasons
     assert reasons["run away from it, for it lies behind them"] == 525
@@ -265,7 +274,9 @@ def test_rays_that_run_away_from_the_panel_are_counted_apart_from_those_that_mis
 
 
 @pytest.mark.parametrize("changes", [[], [NO_FIELD_OF_GUIDE]], ids=["field stated", "no field"])
-def test_without_a_display_path_there_is_a_drawing_and_no_figure(tmp_path, changes):
+def test_without_a_display_path_there_is_a_drawing_and_no_figure(
+    tmp_path: Path, changes: Sequence[tuple[str, str]]
+) -> None:
     """Step 1 of the guide."""
     empty = ("[\n" + "".join(STEPS) + "]", "[]")
     report = traced(of_the_guide(tmp_path, empty, *changes, surfaces=0), tmp_path / "out")
@@ -276,7 +287,7 @@ def test_without_a_display_path_there_is_a_drawing_and_no_figure(tmp_path, chang
     assert (tmp_path / "out" / "mine-right.png").exists()
 
 
-def test_a_panel_that_is_not_seen_straight_ahead_has_no_field_there(tmp_path):
+def test_a_panel_that_is_not_seen_straight_ahead_has_no_field_there(tmp_path: Path) -> None:
     """Step 2 of the guide: the mirror alone."""
     report = traced(of_the_guide(tmp_path, (STEPS[1], ""), NO_FIELD_OF_GUIDE, surfaces=1), tmp_path / "out")
     assert "panel not seen straight ahead" in report.verdict
@@ -284,11 +295,11 @@ def test_a_panel_that_is_not_seen_straight_ahead_has_no_field_there(tmp_path):
     assert "nan" not in report.tables[0].notes[0]
 
 
-def test_the_guide_is_true(tmp_path):
+def test_the_guide_is_true(tmp_path: Path) -> None:
     """The file of docs/your-headset.md has no fault, and with the other sign those that the guide prints."""
     guide = GUIDE
-    text = re.search(r"```toml\n(.*?)```", guide, re.DOTALL)[1]
-    said = re.search(r"```text\n(.*?)```", guide, re.DOTALL)[1].splitlines()
+    text = present(re.search(r"```toml\n(.*?)```", guide, re.DOTALL))[1]
+    said = present(re.search(r"```text\n(.*?)```", guide, re.DOTALL))[1].splitlines()
     files = {radius: tmp_path / f"of{radius}.toml" for radius in (-60, 60)}
     for radius, file in files.items():
         file.write_text(text.replace("radius_mm = -60", f"radius_mm = {radius}"))

@@ -1,9 +1,13 @@
 """Photographs that a lab has taken with the display off and on, judged without drawing anything."""
 
 import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from small_photo_session import SmallSession
 
 from wlr_render.calibration.bench.station_file import load_station
 from wlr_render.captures.photographs import read_photograph, write_photograph
@@ -18,7 +22,7 @@ SHIFT_PX = 3
 
 
 @pytest.fixture
-def pairs(photo_session, tmp_path):
+def pairs(photo_session: SmallSession, tmp_path: Path) -> Path:
     """One photograph of the target as `off`, and moved by whole pixels as two ways of `on`."""
     photograph = read_photograph(photo_session.folder / "bare" / "pose1_00.png")
     folder = tmp_path / "pairs"
@@ -28,11 +32,11 @@ def pairs(photo_session, tmp_path):
     return folder
 
 
-def options(session, pairs, folder):
+def options(session: SmallSession, pairs: Path, folder: Path) -> VerifyOptions:
     return VerifyOptions(pairs, session.folder / "board.toml", calibration=session.out, out=folder / "out")
 
 
-def test_a_known_displacement_is_measured(photo_session, pairs, tmp_path):
+def test_a_known_displacement_is_measured(photo_session: SmallSession, pairs: Path, tmp_path: Path) -> None:
     report = verify(options(photo_session, pairs, tmp_path))
     overall, each = report.tables
     assert [row[:2] for row in each.rows] == [["left", "traced"], ["left", "warped"]]
@@ -45,7 +49,9 @@ def test_a_known_displacement_is_measured(photo_session, pairs, tmp_path):
     assert all(path.is_file() for path in report.files)
 
 
-def test_the_command_line_judges_pairs(photo_session, pairs, tmp_path, capsys):
+def test_the_command_line_judges_pairs(
+    photo_session: SmallSession, pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     given = ["--calibration", str(photo_session.out), "--out", str(tmp_path / "verified")]
     assert main(["verify", str(pairs), *given]) == 2
     assert "needs BOARD" in capsys.readouterr().err
@@ -71,15 +77,15 @@ def test_the_command_line_judges_pairs(photo_session, pairs, tmp_path, capsys):
     ids=["cut", "another size"],
 )
 def test_a_photograph_that_cannot_be_compared_is_named_before_anything_is_written(
-    photo_session, pairs, tmp_path, damage, sentence
-):
+    photo_session: SmallSession, pairs: Path, tmp_path: Path, damage: Callable[..., Any], sentence: str
+) -> None:
     damage(pairs / "left_on_warped.png")
     with pytest.raises(BadInputError, match=rf"left_on_warped\.png: {sentence}"):
         verify(options(photo_session, pairs, tmp_path))
     assert not (tmp_path / "out" / "misalignment.png").exists()
 
 
-def test_what_is_no_pair_is_named(photo_session, pairs, tmp_path):
+def test_what_is_no_pair_is_named(photo_session: SmallSession, pairs: Path, tmp_path: Path) -> None:
     given = options(photo_session, pairs, tmp_path)
     (pairs / "left_off.png").unlink()
     with pytest.raises(BadInputError, match=r"left_on_traced\.png: its photograph with the display off is missing"):

@@ -1,5 +1,8 @@
 import dataclasses
 import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,19 +11,50 @@ from models.toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS, bundle_display, b
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.mappings import Eye
+from wlr_render.mappings import Eye, EyeBox, Panel
+from wlr_render.models.display_model import DisplayModel
+from wlr_render.models.fitted_model import FittedDisplay, FittedModel
 from wlr_render.models.model_file import EyeModel, add_eye_models, load_eye_model, load_eye_models, save_eye_models
+from wlr_render.models.model_place import OwnPlace
+from wlr_render.models.point_per_pixel import PointPerPixelDisplay
+from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.models.spread import Covariance
-from wlr_render.numerics.polynomial import Polynomial, limited_orders
+from wlr_render.numerics.arrays import IntArray
+from wlr_render.numerics.polynomial import Box, Polynomial, limited_orders
 
 
-def model(display=None, see_through=None):
+def model(display: FittedDisplay | None = None, see_through: SeeThroughModel | None = None) -> EyeModel:
     display, see_through = display or bundle_display(), see_through or bundle_see_through()
     mappings = Eye("toy (planar N=2)", "left", display, see_through, EYE_BOX)
     return EyeModel(mappings, "toy", {"display": {"rms_arcmin": 0.1 + 0.2}})
 
 
-def assert_same(first, second):
+def assert_same(
+    first: BasePlane
+    | Box
+    | Covariance
+    | DisplayModel
+    | Eye
+    | EyeBox
+    | EyeModel
+    | OwnPlace
+    | Panel
+    | PointPerPixelDisplay
+    | Polynomial
+    | SeeThroughModel,
+    second: BasePlane
+    | Box
+    | Covariance
+    | DisplayModel
+    | Eye
+    | EyeBox
+    | EyeModel
+    | OwnPlace
+    | Panel
+    | PointPerPixelDisplay
+    | Polynomial
+    | SeeThroughModel,
+) -> None:
     """Bitwise, through all fields."""
     assert type(first) is type(second)
     for field in dataclasses.fields(first):
@@ -35,18 +69,18 @@ def assert_same(first, second):
 
 @pytest.mark.parametrize("display", DISPLAYS)
 @pytest.mark.parametrize("see_through", SEE_THROUGHS)
-def test_every_kind_comes_back_bit_for_bit(tmp_path, display, see_through):
+def test_every_kind_comes_back_bit_for_bit(tmp_path: Path, display: str, see_through: str) -> None:
     written = model(DISPLAYS[display](), SEE_THROUGHS[see_through]())
     read = load_eye_model(save_eye_models(tmp_path / "eye.json", [written]))
     assert_same(written, read)
 
 
-def test_a_tilted_base_plane_comes_back(tmp_path):
+def test_a_tilted_base_plane_comes_back(tmp_path: Path) -> None:
     tilted = dataclasses.replace(bundle_display(), place=BasePlane(0.02, (0.1, -0.2)))
     assert_same(load_eye_model(save_eye_models(tmp_path / "eye.json", [model(tilted)])), model(tilted))
 
 
-def test_terms_written_are_the_polynomial(tmp_path):
+def test_terms_written_are_the_polynomial(tmp_path: Path) -> None:
     """A reader with nothing but the file's own description gets the same value."""
     (eye,) = json.loads(save_eye_models(tmp_path / "eye.json", [model()]).read_text())["eyes"]
     record = eye["display"]["forward"]
@@ -60,7 +94,7 @@ def test_terms_written_are_the_polynomial(tmp_path):
     np.testing.assert_allclose(value, bundle_display().forward(inputs), rtol=1e-12)
 
 
-def edited(tmp_path, edit):
+def edited(tmp_path: Path, edit: Callable[..., Any]) -> Path:
     path = save_eye_models(tmp_path / "eye.json", [model()])
     record = json.loads(path.read_text())
     edit(record)
@@ -68,7 +102,7 @@ def edited(tmp_path, edit):
     return path
 
 
-def first(record):
+def first(record: dict[str, Any]) -> dict[str, Any]:
     return record["eyes"][0]
 
 
@@ -131,7 +165,9 @@ def forward(record):
         (lambda r: r.update(eyes=3 * [first(r)]), "'eyes' has 3 entries; 2 is the most"),
     ],
 )
-def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, edit, sentence):
+def test_a_fault_in_a_file_is_one_sentence_with_its_name(
+    tmp_path: Path, edit: Callable[..., Any], sentence: str
+) -> None:
     path = edited(tmp_path, edit)
     with pytest.raises(BadInputError, match=sentence) as caught:
         load_eye_model(path)
@@ -147,14 +183,14 @@ def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, edit, sentenc
         (b"[1, 2]", "not an object"),
     ],
 )
-def test_truncated_and_other_files_are_refused(tmp_path, content, sentence):
+def test_truncated_and_other_files_are_refused(tmp_path: Path, content: bytes | None, sentence: str) -> None:
     path = save_eye_models(tmp_path / "eye.json", [model()])
     path.write_bytes(path.read_bytes()[:-100] if content is None else content)
     with pytest.raises(BadInputError, match=sentence):
         load_eye_model(path)
 
 
-def test_missing_files_and_foreign_mappings_are_refused(tmp_path):
+def test_missing_files_and_foreign_mappings_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="there is no such file; write it again"):
         load_eye_model(tmp_path / "none.json")
     foreign = dataclasses.replace(model().mappings, display=Polynomial)
@@ -163,13 +199,13 @@ def test_missing_files_and_foreign_mappings_are_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def of_eye(eye, device="toy"):
+def of_eye(eye: str, device: str = "toy") -> EyeModel:
     return dataclasses.replace(
         model(), mappings=dataclasses.replace(model().mappings, eye=eye, name=f"{device} {eye}"), device=device
     )
 
 
-def test_both_eyes_of_a_headset_are_one_file(tmp_path):
+def test_both_eyes_of_a_headset_are_one_file(tmp_path: Path) -> None:
     left, right = of_eye("left"), of_eye("right")
     path = save_eye_models(tmp_path / "both.json", [right, left])
     read = load_eye_models(path)
@@ -180,21 +216,21 @@ def test_both_eyes_of_a_headset_are_one_file(tmp_path):
         load_eye_model(path)
 
 
-def test_an_eye_that_is_not_there_is_refused_with_the_remedy(tmp_path):
+def test_an_eye_that_is_not_there_is_refused_with_the_remedy(tmp_path: Path) -> None:
     path = save_eye_models(tmp_path / "left.json", [of_eye("left")])
     assert load_eye_model(path, "left").mappings.eye == load_eye_model(path).mappings.eye == "left"
     with pytest.raises(BadInputError, match="is a model of the left eye; the right eye was asked for: calibrate it"):
         load_eye_model(path, "right")
 
 
-def test_two_models_of_one_eye_or_of_two_devices_are_refused(tmp_path):
+def test_two_models_of_one_eye_or_of_two_devices_are_refused(tmp_path: Path) -> None:
     for models in ([of_eye("left")] * 2, [of_eye("left"), of_eye("right", "other")], []):
         with pytest.raises(BadInputError, match="holds one model of each eye of one device"):
             save_eye_models(tmp_path / "eye.json", models)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_eye_is_added_to_the_other_one_of_its_device_and_replaces_itself(tmp_path):
+def test_an_eye_is_added_to_the_other_one_of_its_device_and_replaces_itself(tmp_path: Path) -> None:
     path = tmp_path / "model.json"
     assert add_eye_models(path, [of_eye("right")]) == ()
     assert add_eye_models(path, [of_eye("left")]) == ("right",)
@@ -213,7 +249,7 @@ def test_an_eye_is_added_to_the_other_one_of_its_device_and_replaces_itself(tmp_
     assert path.read_text() == "{"
 
 
-def test_any_table_of_terms_comes_back(tmp_path):
+def test_any_table_of_terms_comes_back(tmp_path: Path) -> None:
     display, orders = bundle_display(), limited_orders(2, 3, 2, 1, 3)[::-1]
     coefficients = np.random.default_rng(0).normal(size=(len(orders), 2))
     forward = Polynomial(orders, display.forward.box, coefficients)
@@ -221,7 +257,7 @@ def test_any_table_of_terms_comes_back(tmp_path):
     assert_same(load_eye_model(save_eye_models(tmp_path / "eye.json", [written])), written)
 
 
-def as_version_1(record):
+def as_version_1(record: dict[str, Any]) -> dict[str, Any]:
     """Base planes without a slope, polynomials with a total degree; a `backward` one answered backward queries."""
     display, see_through = first(record)["display"], first(record)["see_through"]
     for each in display, see_through:
@@ -237,7 +273,7 @@ def as_version_1(record):
 
 
 @pytest.mark.parametrize("kind", SEE_THROUGHS)
-def test_files_of_version_1_are_still_read(tmp_path, kind):
+def test_files_of_version_1_are_still_read(tmp_path: Path, kind: str) -> None:
     """They hold one eye, whose keys stand beside those of the header."""
     written = model(DISPLAYS[kind](), SEE_THROUGHS[kind]())
     record = as_version_1(json.loads(save_eye_models(tmp_path / "eye.json", [written]).read_text()))
@@ -250,13 +286,13 @@ def test_files_of_version_1_are_still_read(tmp_path, kind):
         load_eye_models(path)
 
 
-def with_spread(mapping, sources=(), orders=None):
+def with_spread(mapping: FittedModel, sources: tuple[str, ...] = (), orders: IntArray | None = None) -> FittedModel:
     """A mapping with factors of very different sizes; `apart` has two variables, `joint` three."""
     polynomial = mapping.modelled
     rng, outputs = np.random.default_rng(5), polynomial.coefficients.shape[1]
     orders = polynomial.orders if orders is None else orders
 
-    def factors(count):
+    def factors(count: int) -> Polynomial:
         size = 10.0 ** rng.uniform(-9.0, -3.0, count) * (1.0 if count else 0.0)
         return Polynomial(orders, polynomial.box, size * rng.normal(size=(len(orders), count)))
 
@@ -264,17 +300,21 @@ def with_spread(mapping, sources=(), orders=None):
     return dataclasses.replace(mapping, spread=spread)
 
 
-def of_both(display=bundle_display, see_through=bundle_see_through, **spread):
+def of_both(
+    display: Callable[..., Any] = bundle_display, see_through: Callable[..., Any] = bundle_see_through, **spread: Any
+) -> EyeModel:
     return model(*(with_spread(each(), **spread) for each in (display, see_through)))
 
 
-def read_again(tmp_path, written):
+def read_again(tmp_path: Path, written: EyeModel) -> EyeModel:
     return load_eye_model(save_eye_models(tmp_path / "eye.json", [written]))
 
 
 @pytest.mark.parametrize("display", DISPLAYS)
 @pytest.mark.parametrize("see_through", SEE_THROUGHS)
-def test_a_spread_comes_back_to_five_digits_of_each_factor_and_then_bit_for_bit(tmp_path, display, see_through):
+def test_a_spread_comes_back_to_five_digits_of_each_factor_and_then_bit_for_bit(
+    tmp_path: Path, display: str, see_through: str
+) -> None:
     written = of_both(DISPLAYS[display], SEE_THROUGHS[see_through], sources=("lens", "targets"))
     read = read_again(tmp_path, written)
     for side in ("display", "see_through"):
@@ -288,7 +328,7 @@ def test_a_spread_comes_back_to_five_digits_of_each_factor_and_then_bit_for_bit(
     assert_same(read_again(tmp_path, read), read)
 
 
-def test_a_spread_with_terms_of_its_own_comes_back(tmp_path):
+def test_a_spread_with_terms_of_its_own_comes_back(tmp_path: Path) -> None:
     orders = limited_orders(2, 1, 2, 3, 3)[::-1]
     read = read_again(tmp_path, of_both(orders=orders))
     for spread in (read.mappings.display.spread, read.mappings.see_through.spread):
@@ -298,20 +338,20 @@ def test_a_spread_with_terms_of_its_own_comes_back(tmp_path):
     assert "orders" in eye["display"]["spread"]["joint"]
 
 
-def test_a_model_of_a_file_without_a_spread_refuses_its_standard_error(tmp_path):
+def test_a_model_of_a_file_without_a_spread_refuses_its_standard_error(tmp_path: Path) -> None:
     read = read_again(tmp_path, model(bundle_display()))
     with pytest.raises(BadInputError, match="no covariance; fit it with this version: calibrate again"):
         read.mappings.display.sigma(np.array([500.0, 400.0]), EYE_BOX.centre)
 
 
-def test_a_model_of_exact_data_without_factors_comes_back(tmp_path):
+def test_a_model_of_exact_data_without_factors_comes_back(tmp_path: Path) -> None:
     display = bundle_display()
     none = Polynomial(display.forward.orders, display.forward.box, np.zeros((15, 0)))
     read = read_again(tmp_path, model(dataclasses.replace(display, spread=Covariance(2, none, none))))
     assert read.mappings.display.sigma(np.array([500.0, 400.0]), EYE_BOX.centre) == 0.0
 
 
-def test_a_standard_error_follows_from_the_file_by_its_description_alone(tmp_path):
+def test_a_standard_error_follows_from_the_file_by_its_description_alone(tmp_path: Path) -> None:
     written = of_both(display=static_display)
     (eye,) = json.loads(save_eye_models(tmp_path / "eye.json", [written]).read_text())["eyes"]
     record, pixel = eye["display"], np.array([120.0, 640.0])
@@ -327,7 +367,7 @@ def test_a_standard_error_follows_from_the_file_by_its_description_alone(tmp_pat
     np.testing.assert_allclose(np.sqrt(square) / ARCMIN, sigma, rtol=1e-3)
 
 
-def spread_of(record):
+def spread_of(record: dict[str, Any]) -> dict[str, Any]:
     return first(record)["display"]["spread"]
 
 
@@ -351,7 +391,9 @@ def spread_of(record):
         (lambda s: s["joint"].update(low=[0.0]), "unknown key 'low'"),
     ],
 )
-def test_a_fault_in_a_spread_is_one_sentence_with_its_name(tmp_path, edit, sentence):
+def test_a_fault_in_a_spread_is_one_sentence_with_its_name(
+    tmp_path: Path, edit: Callable[..., Any], sentence: str
+) -> None:
     path = save_eye_models(tmp_path / "eye.json", [of_both()])
     record = json.loads(path.read_text())
     edit(spread_of(record))

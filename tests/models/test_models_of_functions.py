@@ -7,6 +7,8 @@ import pytest
 from models.toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS
 
 from benchmarks.rivals.numeric_regressor import NumericRegressor
+from wlr_render.models.fitted_model import FittedModel
+from wlr_render.numerics.arrays import FloatArray
 
 RNG = np.random.default_rng(4)
 PIXEL = RNG.uniform([100, 100], [900, 700], (30, 2))
@@ -15,7 +17,7 @@ POINT = np.column_stack([VIEWPOINT[:, :2] + RNG.uniform(-0.1, 0.1, (30, 2)), RNG
 ANGLE = 1e-10  # radians: 3e-7 arcminutes
 
 
-def of_function(model):
+def of_function(model: FittedModel) -> FittedModel:
     """The same model, made of a function without derivatives of its own."""
     polynomial = model.modelled
     function = NumericRegressor(polynomial, polynomial.box, polynomial.outputs, polynomial.numbers)
@@ -23,7 +25,7 @@ def of_function(model):
 
 
 @pytest.mark.parametrize("kind", ["planar", "volumetric", "static"])
-def test_a_display_answers_the_same_with_the_function_as_with_the_polynomial(kind):
+def test_a_display_answers_the_same_with_the_function_as_with_the_polynomial(kind: str) -> None:
     exact = DISPLAYS[kind]()
     found = of_function(exact)
     seen, expected = (each.view_dir_of_pixel(PIXEL, VIEWPOINT) for each in (found, exact))
@@ -41,7 +43,7 @@ def test_a_display_answers_the_same_with_the_function_as_with_the_polynomial(kin
 
 
 @pytest.mark.parametrize("kind", SEE_THROUGHS)
-def test_a_see_through_model_answers_the_same_with_the_function_as_with_the_polynomial(kind):
+def test_a_see_through_model_answers_the_same_with_the_function_as_with_the_polynomial(kind: str) -> None:
     exact = SEE_THROUGHS[kind]()
     found = of_function(exact)
     seen, expected = (each.view_dir_of_real_point(POINT, VIEWPOINT) for each in (found, exact))
@@ -56,15 +58,15 @@ def test_a_see_through_model_answers_the_same_with_the_function_as_with_the_poly
     assert found.contraction() == pytest.approx(exact.contraction(), rel=1e-5)
 
 
-def test_the_backward_query_meets_a_pixel_of_a_function_that_rounds_coarsely():
+def test_the_backward_query_meets_a_pixel_of_a_function_that_rounds_coarsely() -> None:
     """A kernel regressor with large weights rounds at 1e-9: the solve must not ask for more, and converge."""
     exact = DISPLAYS["planar"]()
     polynomial = exact.forward
     noise = np.random.default_rng(1)
 
-    def rounded(inputs):
+    def rounded(inputs: FloatArray) -> FloatArray:
         value = polynomial(inputs)
-        return value + 1e-9 * noise.uniform(-1.0, 1.0, value.shape)
+        return np.asarray(value + 1e-9 * noise.uniform(-1.0, 1.0, value.shape))
 
     function = NumericRegressor(rounded, polynomial.box, 2, 0, rounding=1e-9)
     found = replace(exact, forward=function)

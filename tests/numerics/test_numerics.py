@@ -1,13 +1,16 @@
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from wlr_render.numerics import chebyshev, newton, polynomial
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.polynomial import Polynomial
 
 
 @pytest.mark.parametrize(("variables", "degree", "terms"), [(4, 5, 126), (5, 5, 252), (4, 3, 35), (5, 3, 56)])
-def test_number_of_terms_is_the_binomial_coefficient(variables, degree, terms):
+def test_number_of_terms_is_the_binomial_coefficient(variables: int, degree: int, terms: int) -> None:
     assert polynomial.term_count(variables, degree) == terms
     assert len(polynomial.total_degree(variables, degree)) == terms
 
@@ -21,26 +24,26 @@ TABLES = {
 }
 
 
-def random_model(orders, seed=4):
+def random_model(orders: IntArray, seed: int = 4) -> Polynomial:
     rng, variables = np.random.default_rng(seed), orders.shape[1]
     low = rng.uniform(-3, 0, variables)
     box = polynomial.Box(low, low + rng.uniform(0.5, 4, variables))
     return polynomial.Polynomial(orders, box, rng.normal(size=(len(orders), 3)))
 
 
-def inputs_of(model, grown):
+def inputs_of(model: Polynomial, grown: float) -> FloatArray:
     """Inputs in the box, or in a larger one."""
     unit = np.random.default_rng(5).uniform(-grown, grown, (60, len(model.box.low)))
     return 0.5 * (model.box.low + model.box.high) + 0.5 * unit * (model.box.high - model.box.low)
 
 
-def plain_sum(model, inputs):
+def plain_sum(model: Polynomial, inputs: FloatArray) -> FloatArray:
     x = model.box.scaled(inputs)
     terms = [np.prod(np.cos(order * np.arccos(x)), axis=1) for order in model.orders]
     return np.array(terms).T @ model.coefficients
 
 
-def test_orders_are_limited_apart_and_ordered_by_their_sum():
+def test_orders_are_limited_apart_and_ordered_by_their_sum() -> None:
     assert len(polynomial.limited_orders(2, 8, 2, 5, 8)) == 420
     orders = polynomial.limited_orders(2, 3, 1, 1, 3)
     every = polynomial.total_degree(3, 3)
@@ -49,7 +52,7 @@ def test_orders_are_limited_apart_and_ordered_by_their_sum():
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_value_and_basis_are_the_sum_over_the_terms(name):
+def test_value_and_basis_are_the_sum_over_the_terms(name: str) -> None:
     model = random_model(TABLES[name])
     inputs = inputs_of(model, 1.0)
     expected = plain_sum(model, inputs)
@@ -61,7 +64,7 @@ def test_value_and_basis_are_the_sum_over_the_terms(name):
 
 @pytest.mark.parametrize("grown", [1.0, 1.5])
 @pytest.mark.parametrize("name", TABLES)
-def test_jacobian_is_the_derivative_in_the_box_and_beyond(name, grown):
+def test_jacobian_is_the_derivative_in_the_box_and_beyond(name: str, grown: float) -> None:
     model = random_model(TABLES[name])
     inputs = inputs_of(model, grown)
     value, jacobian = model.with_jacobian(inputs)
@@ -76,7 +79,7 @@ def test_jacobian_is_the_derivative_in_the_box_and_beyond(name, grown):
 
 
 @pytest.mark.parametrize("lead", [(), (1,), (3, 1, 2)])
-def test_value_and_jacobian_have_every_batch_shape(lead):
+def test_value_and_jacobian_have_every_batch_shape(lead: tuple[int, ...]) -> None:
     model = random_model(TABLES["pixel | place"])
     one = inputs_of(model, 1.0)[:6]
     x = one[: int(np.prod(lead))].reshape(*lead, 4)
@@ -89,7 +92,7 @@ def test_value_and_jacobian_have_every_batch_shape(lead):
 
 @pytest.mark.parametrize("grown", [1.0, 1.5])
 @pytest.mark.parametrize("held_axes", [(0, 1), (2, 3), (3,), (1, 3), (0, 1, 2, 3), ()])
-def test_a_held_polynomial_is_the_whole_one_in_its_other_variables(held_axes, grown):
+def test_a_held_polynomial_is_the_whole_one_in_its_other_variables(held_axes: tuple[int, ...], grown: float) -> None:
     model = random_model(TABLES["pixel | place"])
     inputs, free = inputs_of(model, grown), [axis for axis in range(4) if axis not in held_axes]
     held = model.held(held_axes, inputs[:, list(held_axes)])
@@ -101,7 +104,7 @@ def test_a_held_polynomial_is_the_whole_one_in_its_other_variables(held_axes, gr
     np.testing.assert_allclose(held_jacobian, jacobian[some][..., free], atol=1e-9)
 
 
-def test_beyond_the_box_a_polynomial_is_linear_and_joins_smoothly():
+def test_beyond_the_box_a_polynomial_is_linear_and_joins_smoothly() -> None:
     model = random_model(TABLES["pixel | place"])
     centre, half = 0.5 * (model.box.low + model.box.high), 0.5 * (model.box.high - model.box.low)
     border = 1.0 + 2.0 * polynomial.BOX_SLACK
@@ -123,7 +126,7 @@ def test_beyond_the_box_a_polynomial_is_linear_and_joins_smoothly():
     np.testing.assert_allclose(model(centre + half * unit)[0], terms @ model.coefficients, atol=1e-10)
 
 
-def test_inputs_that_are_not_finite_have_no_value():
+def test_inputs_that_are_not_finite_have_no_value() -> None:
     model = random_model(TABLES["pixel | place"])
     inputs = inputs_of(model, 1.0)
     expected = model(inputs)
@@ -133,8 +136,8 @@ def test_inputs_that_are_not_finite_have_no_value():
     np.testing.assert_allclose(np.delete(value, 5, axis=0), np.delete(expected, 5, axis=0), atol=1e-12)
 
 
-def circle_and_line(angle):
-    def residual(unknown, index):
+def circle_and_line(angle: FloatArray) -> Callable[[FloatArray, IntArray], tuple[FloatArray, FloatArray]]:
+    def residual(unknown: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
         x, y = unknown.T
         slope = np.tan(angle[index])
         value = np.stack([x * x + y * y - 1, y - slope * x], axis=1)
@@ -145,13 +148,13 @@ def circle_and_line(angle):
     return residual
 
 
-def test_newton_finds_roots_and_owns_up_to_failures():
+def test_newton_finds_roots_and_owns_up_to_failures() -> None:
     angle = np.linspace(-1.4, 1.4, 101)
     root = newton.solve_2x2(circle_and_line(angle), np.tile([1.5, 0.2], (101, 1)), 1e-13)
     assert root.converged.all()
     np.testing.assert_allclose(root.unknown, np.stack([np.cos(angle), np.sin(angle)], 1), atol=1e-12)
 
-    def no_root(unknown, index):
+    def no_root(unknown: FloatArray, index: object) -> tuple[FloatArray, FloatArray]:
         x, y = unknown.T
         zero = np.zeros_like(x)
         return np.stack([x * x + 1, y], 1), np.stack([np.stack([2 * x, zero], 1), np.stack([zero, zero + 1], 1)], 1)
@@ -159,7 +162,7 @@ def test_newton_finds_roots_and_owns_up_to_failures():
     assert not newton.solve_2x2(no_root, np.array([[0.3, 0.0], [np.nan, 0.0]]), 1e-9).converged.any()
 
 
-def test_chebyshev_interpolation_is_exact_for_polynomials_and_converges_geometrically():
+def test_chebyshev_interpolation_is_exact_for_polynomials_and_converges_geometrically() -> None:
     at = np.linspace(0, 100, 57)
     matrix = chebyshev.interpolation_matrix(9, 0, 100, at)
     x = chebyshev.nodes(9, 0, 100)

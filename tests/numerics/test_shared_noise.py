@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.evidence import Sums
 from wlr_render.numerics.shared_noise import SharedNoise, find_shared_noise, neighbour_distance
 
@@ -10,11 +11,11 @@ PLACE = np.stack(np.meshgrid(np.arange(12.0), np.arange(10.0)), axis=-1).reshape
 PHOTOGRAPHS = 12
 
 
-def sure(number, rows):
+def sure(number: object, rows: IntArray) -> FloatArray:
     return np.zeros((len(rows), 0))
 
 
-def photographs(noise, seed):
+def photographs(noise: SharedNoise, seed: int) -> FloatArray:
     """Noise with an exponential correlation, which the Matern field is not."""
     rng = np.random.default_rng(seed)
     apart = np.linalg.norm(PLACE[:, None] - PLACE, axis=-1)
@@ -23,14 +24,14 @@ def photographs(noise, seed):
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6])
-def test_shared_noise_is_found(share):
+def test_shared_noise_is_found(share: float) -> None:
     found = find_shared_noise([PLACE] * PHOTOGRAPHS, list(photographs(SharedNoise(share, 1.5), 1)), sure)
     assert found is not None
     assert 0.6 * share < found.share < 1.4 * share
     assert 0.7 < found.length < 3.0
 
 
-def test_the_mean_of_noise_of_short_reach_is_nearly_as_good_as_it_is():
+def test_the_mean_of_noise_of_short_reach_is_nearly_as_good_as_it_is() -> None:
     """White noise smoothed by a cone: a field of neither class, and of no tail."""
     node = np.stack(np.meshgrid(np.arange(-4.0, 16.0, 0.5), np.arange(-4.0, 14.0, 0.5)), axis=-1).reshape(-1, 2)
     near = np.maximum(1.0 - np.linalg.norm(PLACE[:, None] - node, axis=-1) / 2.5, 0.0)
@@ -47,12 +48,12 @@ def test_the_mean_of_noise_of_short_reach_is_nearly_as_good_as_it_is():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_white_noise_is_not_shared(seed):
+def test_white_noise_is_not_shared(seed: int) -> None:
     white = list(np.random.default_rng(seed).normal(size=(PHOTOGRAPHS, len(PLACE), 2)))
     assert find_shared_noise([PLACE] * PHOTOGRAPHS, white, sure) is None
 
 
-def test_what_a_fit_followed_is_missed_unless_it_is_told():
+def test_what_a_fit_followed_is_missed_unless_it_is_told() -> None:
     """A fit that removes smooth waves from the residuals states how unsure it is of them."""
     seen = photographs(SharedNoise(0.5, 2.0), 2)
     waves = np.cos(np.pi * (PLACE[:, :1] + 0.5) / 12 * np.arange(6))[:, :, None]
@@ -65,7 +66,7 @@ def test_what_a_fit_followed_is_missed_unless_it_is_told():
     assert blind is None or blind.share < told.share
 
 
-def test_the_root_makes_noise_white_and_leaves_outliers_out():
+def test_the_root_makes_noise_white_and_leaves_outliers_out() -> None:
     noise, kept = SharedNoise(0.4, 1.5), np.ones(len(PLACE))
     kept[[3, 40]] = 0.0
     root = noise.root(PLACE, kept)
@@ -74,7 +75,7 @@ def test_the_root_makes_noise_white_and_leaves_outliers_out():
     assert neighbour_distance([PLACE]) == 1.0
 
 
-def test_sums_of_readings_that_share_noise_are_those_of_their_inverse_covariance():
+def test_sums_of_readings_that_share_noise_are_those_of_their_inverse_covariance() -> None:
     rng = np.random.default_rng(0)
     noise, weight = SharedNoise(0.4, 1.5), rng.uniform(0.5, 2.0, len(PLACE))
     value, design, grouped = (rng.normal(size=(len(PLACE), *shape)) for shape in ((2,), (5,), (2, 3)))

@@ -9,8 +9,10 @@ Writes the two files of data/lens_files that these programs make as well (`shape
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 FOLDER = Path(__file__).resolve().parent / "data" / "lens_files"
 STORED = FOLDER / "rays.npz"
@@ -32,7 +34,7 @@ RAYOPTICS = {
 }
 
 
-def starting_rays(width_mm, tangent, seed=5):
+def starting_rays(width_mm, tangent, seed: int = 5) -> tuple[NDArray[Any], Any]:
     """Origins (n, 3) in mm before the first surface, and unit directions (n, 3)."""
     rng = np.random.default_rng(seed)
     origin = np.stack([*rng.uniform(-width_mm, width_mm, (2, RAYS)), np.full(RAYS, -10.0)], axis=-1)
@@ -40,7 +42,7 @@ def starting_rays(width_mm, tangent, seed=5):
     return origin, direction / np.linalg.norm(direction, axis=-1, keepdims=True)
 
 
-def make_shapes():
+def make_shapes() -> None:
     """An Optiland lens of every shape that is read, each turned and shifted, and a mirror."""
     from optiland.fileio import save_optiland_file
     from optiland.optic import Optic
@@ -75,7 +77,7 @@ def make_shapes():
     (FOLDER / "shapes.json").write_text(json.dumps(content, indent=1) + "\n")
 
 
-def trace_with_optiland(path, origin, direction):
+def trace_with_optiland(path: Path, origin: NDArray[Any], direction) -> NDArray[Any]:
     """Points on every surface after the object in mm, then the last direction: (n, surfaces + 1, 3)."""
     from optiland.fileio import load_optiland_file, load_zemax_file
     from optiland.rays import RealRays
@@ -93,7 +95,7 @@ def trace_with_optiland(path, origin, direction):
     return np.moveaxis(np.concatenate([points, last]), 0, 1)
 
 
-def make_decentred():
+def make_decentred() -> None:
     """A rayoptics lens whose surfaces have each kind of decentre, with turns about all three axes.
 
     Not the first one: rayoptics states the place of the object before a decentred surface with the wrong sign.
@@ -111,7 +113,7 @@ def make_decentred():
     model.save_model(FOLDER / "decentred.roa")
 
 
-def trace_with_rayoptics(path, origin, direction):
+def trace_with_rayoptics(path, origin, direction) -> NDArray[Any]:
     """As `trace_with_optiland`."""
     from rayoptics.codev import cmdproc
     from rayoptics.gui.roafile import open_roa

@@ -10,12 +10,14 @@ import pytest
 from optics.make_optiland_rays import STORED, WAVELENGTH_UM, cases, trace_with_optiland
 
 from wlr_render.mappings import Status
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import Path
 from wlr_render.optics.tracer import trace
 
 CASES = cases()
 
 
-def assert_same_rays(path, rays):
+def assert_same_rays(path: Path, rays: FloatArray) -> None:
     """Stored as (n, 2 + steps + 1, 3): origin, direction, points, last direction; to 1e-9 mm and 1e-9 rad."""
     traced = trace(path, rays[:, 0], rays[:, 1], WAVELENGTH_UM)
     assert (traced.status == Status.OK).all()
@@ -24,14 +26,14 @@ def assert_same_rays(path, rays):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_stored_rays(name):
+def test_stored_rays(name: str) -> None:
     with np.load(STORED) as stored:
         assert_same_rays(CASES[name][0], stored[name])
 
 
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", CASES)
-def test_live(name):
+def test_live(name: str) -> None:
     pytest.importorskip("optiland", reason="Optiland is not installed: pip install '.[oracle]'")
     path, origin, direction = CASES[name]
     rays = np.concatenate([origin[:, None], direction[:, None], trace_with_optiland(path, origin, direction)], axis=1)

@@ -4,15 +4,19 @@ Rays as rayoptics traces two of them: test_lens_files.
 """
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from optics.make_lens_file_rays import FOLDER
 from optics.test_lens_files import CATALOGUE, path_of
+from present import present
 
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.lens_file import read_lens_file
+from wlr_render.optics.lens_files.sequence import LensFile
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere
 from wlr_render.optics.surfaces import Conic
 from wlr_render.optics.tracer import trace
@@ -54,13 +58,13 @@ FRONT = "S 40.0 4.0 1.5168 64.17 ! front\n"
 BACK = "S -100.0 30.0\n"
 
 
-def lens_of(tmp_path, text, name="lens.seq"):
+def lens_of(tmp_path: Path, text: str, name: str = "lens.seq") -> LensFile:
     path = tmp_path / name
     path.write_text(text)
     return read_lens_file(path, GlassCatalogue(CATALOGUE.files))[1]
 
 
-def rays(lens):
+def rays(lens: LensFile) -> FloatArray:
     """Points on the surfaces that bend rays, and last directions, of rays within 4 mm and 3 degrees."""
     rng = np.random.default_rng(3)
     origin = np.stack([*rng.uniform(-4e-3, 4e-3, (2, 50)), np.full(50, -0.01)], axis=-1)
@@ -101,7 +105,7 @@ def rays(lens):
         ("GLA S2 517.642", "GLAS ___BLANK 1 0 1.517 64.2"),
     ],
 )
-def test_a_surface_traces_as_that_of_zemax(tmp_path, commands, lines):
+def test_a_surface_traces_as_that_of_zemax(tmp_path: Path, commands: str, lines: str) -> None:
     ours = lens_of(tmp_path, SEQ.replace(FRONT, f"{FRONT}{commands}\n"))
     zemax = lens_of(tmp_path, ZMX.replace("SURF 3", f"{lines}\nSURF 3"), "lens.zmx")
     assert not [note for note in ours.ignored if note.bends_rays]
@@ -126,7 +130,7 @@ def test_a_surface_traces_as_that_of_zemax(tmp_path, commands, lines):
         ("S -100.0 30.0", "S -100.0 28.5"),
     ],
 )
-def test_forms_of_the_same_lens(tmp_path, old, new):
+def test_forms_of_the_same_lens(tmp_path: Path, old: str, new: str) -> None:
     assert old in SEQ
     text = SEQ.replace(old, new)
     if new == "RDM N;LEN":
@@ -144,13 +148,13 @@ def test_forms_of_the_same_lens(tmp_path, old, new):
     assert lens.surfaces[1].label == ("eye!; no comment" if "SLB" in new else "")
 
 
-def test_an_ampersand_in_quotes_does_not_continue_the_line(tmp_path):
+def test_an_ampersand_in_quotes_does_not_continue_the_line(tmp_path: Path) -> None:
     lens = lens_of(tmp_path, SEQ.replace("TITLE 'one lens'", "TITLE 'one &'"))
     assert (lens.title, len(lens.surfaces)) == ("one &", 5)
     np.testing.assert_allclose(rays(lens), rays(lens_of(tmp_path, SEQ)), rtol=0, atol=1e-12)
 
 
-def test_the_stop_is_where_the_last_command_says(tmp_path):
+def test_the_stop_is_where_the_last_command_says(tmp_path: Path) -> None:
     lens = lens_of(tmp_path, SEQ.replace("GO", "STO S3"))
     assert [surface.number for surface in lens.surfaces if surface.is_stop] == [3]
 
@@ -159,7 +163,7 @@ FOLD = "LEN\nDIM M\nSO 0 1e11\nS 0 50\nSTO\nS 0 -30 REFL\n{}\nSI 0 0\n"
 
 
 @pytest.mark.parametrize(("command", "angle"), [("ADE", 20.0), ("ADE", -35.0), ("BDE", 20.0), ("BDE", -35.0)])
-def test_the_axis_follows_the_light_at_a_bend(tmp_path, command, angle):
+def test_the_axis_follows_the_light_at_a_bend(tmp_path: Path, command: str, angle: float) -> None:
     """Left-handed about x and y: ADE turns the mirror's normal from z to y, BDE from z to -x."""
     lens = lens_of(tmp_path, FOLD.format(f"{command} {angle}\nBEN"))
     assert not lens.ignored
@@ -179,7 +183,7 @@ def test_the_axis_follows_the_light_at_a_bend(tmp_path, command, angle):
     ("kind", "place", "turn"),
     [("", (1, 2, 58), 30), ("DAR", (0, 0, 55), 0), ("REV", (-1 * np.cos(np.pi / 6) - 1, 0.5 - np.sqrt(3), 52), -30)],
 )
-def test_axes_behind_a_decentre(tmp_path, kind, place, turn):
+def test_axes_behind_a_decentre(tmp_path: Path, kind: str, place: tuple[float, float, int], turn: int) -> None:
     """CDE is right-handed; behind REV the axes are turned back, then shifted back along the turned axes."""
     lens = lens_of(tmp_path, FOLD.format(f"{kind}\nXDE 1; YDE 2; ZDE 3\nCDE 30").replace("-30 REFL", "5"))
     image = lens.surfaces[3].file_from_surface
@@ -188,7 +192,7 @@ def test_axes_behind_a_decentre(tmp_path, kind, place, turn):
     np.testing.assert_allclose(image[:3, 0], [np.cos(angle), np.sin(angle), 0.0], atol=1e-15)
 
 
-def test_three_decentred_mirrors_are_in_focus(tmp_path):
+def test_three_decentred_mirrors_are_in_focus(tmp_path: Path) -> None:
     """A telescope that rayoptics publishes; a wrong sign of ADE blurs its image."""
     _, lens = read_lens_file(FOLDER / "three-mirrors.seq", CATALOGUE)
     stop, image = (lens.surfaces[place].file_from_surface for place in (3, 6))
@@ -241,12 +245,14 @@ def test_three_decentred_mirrors_are_in_focus(tmp_path):
         ("'' 3; ' ' 4", "''", False, "other"),
     ],
 )
-def test_commands_that_are_not_read_are_named(tmp_path, commands, key, bends_rays, part):
+def test_commands_that_are_not_read_are_named(
+    tmp_path: Path, commands: str, key: str, bends_rays: bool, part: str
+) -> None:
     lens = lens_of(tmp_path, SEQ.replace(FRONT, f"{FRONT}{commands}\n"))
     assert (key, bends_rays, part) in [(note.key, note.bends_rays, note.part) for note in lens.ignored]
 
 
-def test_commands_without_effect_on_rays_are_not_listed(tmp_path):
+def test_commands_without_effect_on_rays_are_not_listed(tmp_path: Path) -> None:
     quiet = "CCY 0; THC 100; CUF 0.0; XDE 0.0; XDC 100; VUY 0.0 0.1; WTF 1 1; TEM 20.0; PRE 760; TIT Z2 'far'"
     lens = lens_of(tmp_path, SEQ.replace("GO", f"{quiet}\nGO"))
     assert [note.key for note in lens.ignored] == ["GLA"]
@@ -264,7 +270,7 @@ def test_commands_without_effect_on_rays_are_not_listed(tmp_path):
         ("CIR EDG 10", (-np.inf, -np.inf), (np.inf, np.inf)),
     ],
 )
-def test_clear_apertures(tmp_path, commands, low, high):
+def test_clear_apertures(tmp_path: Path, commands: str, low: tuple[float, float], high: tuple[float, float]) -> None:
     surface = lens_of(tmp_path, SEQ.replace(FRONT, f"{FRONT}{commands}\n")).surfaces[2]
     np.testing.assert_allclose(1e3 * surface.aperture.low[:2], low)
     np.testing.assert_allclose(1e3 * surface.aperture.high[:2], high)
@@ -272,7 +278,7 @@ def test_clear_apertures(tmp_path, commands, low, high):
 
 
 @pytest.mark.parametrize(("unit", "first", "second"), [("M", 1e-5, 2e-7), ("C", 1e-2, 2e-2)])
-def test_terms_of_an_anamorphic_asphere(tmp_path, unit, first, second):
+def test_terms_of_an_anamorphic_asphere(tmp_path: Path, unit: str, first: float, second: float) -> None:
     text = SEQ.replace("DIM M", f"DIM {unit}")
     lens = lens_of(tmp_path, text.replace(FRONT, f"{FRONT}AAS; CUX 0; CUY 0; AR {first}; AP 0.2; BR {second}\n"))
     shape = lens.surfaces[2].shape
@@ -283,7 +289,7 @@ def test_terms_of_an_anamorphic_asphere(tmp_path, unit, first, second):
 
 
 @pytest.mark.parametrize("mirror", ["S 0.0 -10.0 REFL", "S 0.0 -10.0 1.5168 64.17 REFL", "S 0.0 -10\nRMD REFL"])
-def test_a_mirror_has_the_medium_before_it_behind_it(tmp_path, mirror):
+def test_a_mirror_has_the_medium_before_it_behind_it(tmp_path: Path, mirror: str) -> None:
     lens = lens_of(tmp_path, SEQ.replace(BACK, f"{mirror}\n{BACK}"))
     assert [surface.reflects for surface in lens.surfaces] == [False, False, False, True, False, False]
     assert lens.surfaces[3].medium == lens.surfaces[2].medium
@@ -298,7 +304,9 @@ def test_a_mirror_has_the_medium_before_it_behind_it(tmp_path, mirror):
         ("NSF99", ("NSF99", ())),
     ],
 )
-def test_glasses_are_looked_up_as_their_makers_write_them(tmp_path, monkeypatch, name, asked):
+def test_glasses_are_looked_up_as_their_makers_write_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, asked: tuple[str, tuple[str]]
+) -> None:
     queries = []
     monkeypatch.setattr(
         "wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda *query: queries.append(query)
@@ -311,7 +319,7 @@ def test_glasses_are_looked_up_as_their_makers_write_them(tmp_path, monkeypatch,
 PRIVATE = "PRV\n  PWL 656.2725 587.5618 486.1327\n  {}\nEND\n"
 
 
-def test_private_glasses(tmp_path):
+def test_private_glasses(tmp_path: Path) -> None:
     """A private glass has its indices, also if PRV follows the surfaces, or Laurent's formula (NOA61: n_d 1.5597)."""
     text = SEQ.replace("1.5168 64.17", "'MINE'")
     lens = lens_of(tmp_path, text.replace("GO", PRIVATE.format("'MINE' 1.61 1.62 1.63")))
@@ -325,12 +333,14 @@ def test_private_glasses(tmp_path):
     assert not lens.ignored
 
 
-def test_many_private_indices_are_fitted(tmp_path):
+def test_many_private_indices_are_fitted(tmp_path: Path) -> None:
     waves = np.linspace(400.0, 1600.0, 20)
-    indices = [CATALOGUE.find("N-BK7").medium.index(1e-3 * wave) for wave in waves]
+    indices = [present(CATALOGUE.find("N-BK7")).medium.index(1e-3 * wave) for wave in waves]
     stated = "PRV\nPWL" + "&\n".join(f" {wave}" for wave in waves) + "\nMINE" + "".join(f" {n:.4f}" for n in indices)
     lens = lens_of(tmp_path, SEQ.replace("1.5168 64.17", "MINE").replace("SO 0.0", f"{stated}\nEND\nSO 0.0"))
-    assert lens.surfaces[2].medium.index(0.55) == pytest.approx(CATALOGUE.find("N-BK7").medium.index(0.55), abs=1e-4)
+    assert lens.surfaces[2].medium.index(0.55) == pytest.approx(
+        present(CATALOGUE.find("N-BK7")).medium.index(0.55), abs=1e-4
+    )
 
 
 @pytest.mark.parametrize(
@@ -359,14 +369,14 @@ def test_many_private_indices_are_fitted(tmp_path):
         (SEQ, "LEN\n", "has 0 surfaces"),
     ],
 )  # fmt: skip
-def test_faults_are_named(tmp_path, monkeypatch, old, new, sentence):
+def test_faults_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, sentence: str) -> None:
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
     assert old in SEQ
     with pytest.raises(BadInputError, match=rf"lens\.seq: .*{sentence}"):
         lens_of(tmp_path, SEQ.replace(old, new))
 
 
-def test_planes_and_thicknesses(tmp_path):
+def test_planes_and_thicknesses(tmp_path: Path) -> None:
     lens = lens_of(tmp_path, SEQ)
     assert lens.surfaces[1].shape == Conic(0.0)
     assert not np.isfinite(lens.surfaces[0].file_from_surface).any()

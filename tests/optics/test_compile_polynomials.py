@@ -1,6 +1,8 @@
 """Polynomials in place of traced optics, against queries of the traced optics themselves."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,10 +11,11 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
-from wlr_render.optics.compile_polynomials import GOAL_ARCMIN, compile_display, compile_see_through
-from wlr_render.optics.device import ClearAperture
+from wlr_render.optics.compile_polynomials import GOAL_ARCMIN, CompiledMap, compile_display, compile_see_through
+from wlr_render.optics.device import ClearAperture, EyeOptics, PlacedSurface
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 
@@ -20,31 +23,32 @@ PLACE = 0.008  # metres to each side of the middle of the eye box
 ERRORS = 0.3 * ASSEMBLY_SIZES * np.where(np.arange(12) % 2, -1.0, 1.0)
 
 
-def eye(name):
+def eye(name: str) -> tuple[EyeOptics, BasePlane]:
     optics = load_device(name).eyes["right"]
     return optics, BasePlane(float(optics.eye_box.centre[2]) - 0.001, (0.1, -0.2))
 
 
-def display_box(optics, margin=0.1):
+def display_box(optics: EyeOptics, margin: float = 0.1) -> Box:
     """The panel without a margin, of its size."""
     size, middle = optics.panel.pixels.size_px, optics.eye_box.centre[:2]
     return Box(np.append(margin * size, middle - PLACE), np.append((1.0 - margin) * size, middle + PLACE))
 
 
-def see_through_box(optics):
+def see_through_box(optics: EyeOptics) -> Box:
     middle = optics.eye_box.centre[:2]
+    assert optics.field is not None
     return Box(np.append(middle - PLACE, optics.field.low), np.append(middle + PLACE, optics.field.high))
 
 
-def random_inputs(box, count=300):
+def random_inputs(box: Box, count: int = 300) -> FloatArray:
     return np.random.default_rng(5).uniform(box.low, box.high, (count, 4))
 
 
-def rms(angle):
+def rms(angle: FloatArray) -> float:
     return float(np.sqrt(np.nanmean(angle**2)))
 
 
-def display_errors(compiled, optics, plane):
+def display_errors(compiled: CompiledMap, optics: EyeOptics, plane: BasePlane) -> FloatArray:
     """Angles (n,) between compiled and exact directions of random pixels from random places; NaN if not seen."""
     inputs = random_inputs(compiled.polynomial.box)
     exact = TracedDisplay(optics, 0.55).view_dir_of_pixel(inputs[:, :2], plane.lift(inputs[:, 2:]))
@@ -52,7 +56,7 @@ def display_errors(compiled, optics, plane):
 
 
 @pytest.mark.parametrize("name", ["northstar", "birdbath28"])
-def test_the_compiled_display_is_the_traced_one_with_its_assembly_errors(name):
+def test_the_compiled_display_is_the_traced_one_with_its_assembly_errors(name: str) -> None:
     optics, plane = eye(name)
     compiled = compile_display(optics, ERRORS, plane, display_box(optics))
     errors = display_errors(compiled, assembled(optics, ERRORS), plane)
@@ -61,7 +65,7 @@ def test_the_compiled_display_is_the_traced_one_with_its_assembly_errors(name):
     assert rms(errors) == pytest.approx(compiled.rms_arcmin, rel=0.5), "the stated error is the true one"
 
 
-def test_the_compiled_see_through_is_the_traced_one_with_its_assembly_errors():
+def test_the_compiled_see_through_is_the_traced_one_with_its_assembly_errors() -> None:
     optics, plane = eye("northstar")
     compiled = compile_see_through(optics, ERRORS, plane, see_through_box(optics))
     inputs = random_inputs(compiled.polynomial.box)
@@ -75,7 +79,7 @@ def test_the_compiled_see_through_is_the_traced_one_with_its_assembly_errors():
         assert rms((found - point[:, :2]) / depth / ARCMIN) < GOAL_ARCMIN
 
 
-def test_a_device_without_optics_compiles_to_no_deviation():
+def test_a_device_without_optics_compiles_to_no_deviation() -> None:
     optics = load_device("no_optics").eyes["right"]
     middle = optics.eye_box.centre[:2]
     box = Box(np.append(middle - PLACE, [-0.3, -0.2]), np.append(middle + PLACE, [0.3, 0.2]))
@@ -83,7 +87,7 @@ def test_a_device_without_optics_compiles_to_no_deviation():
     np.testing.assert_allclose(compiled.polynomial.coefficients, 0.0, atol=1e-12)
 
 
-def test_orders_grow_only_as_far_as_the_optics_need():
+def test_orders_grow_only_as_far_as_the_optics_need() -> None:
     optics, plane = eye("birdbath28")
     wide = display_box(optics)
     low, high = (0.7 * edge + 0.3 * 0.5 * (wide.low + wide.high) for edge in (wide.low, wide.high))
@@ -93,7 +97,7 @@ def test_orders_grow_only_as_far_as_the_optics_need():
 
 
 @pytest.mark.parametrize("compile_map", [compile_display, compile_see_through])
-def test_the_derivatives_predict_what_other_assembly_errors_change(compile_map):
+def test_the_derivatives_predict_what_other_assembly_errors_change(compile_map: Callable[..., Any]) -> None:
     optics, plane = eye("birdbath28")
     box = display_box(optics) if compile_map is compile_display else see_through_box(optics)
     at_rest = compile_map(optics, ERRORS, plane, box)
@@ -108,11 +112,11 @@ def test_the_derivatives_predict_what_other_assembly_errors_change(compile_map):
         assert (np.abs(by_value(inputs) - change) < tolerance).all(), number
 
 
-def test_where_no_ray_passes_the_polynomial_continues_smoothly():
+def test_where_no_ray_passes_the_polynomial_continues_smoothly() -> None:
     """A quarter of the field is hidden by an aperture: the rest is as good as before, the quarter stays in bounds."""
     optics, plane = eye("freeform40")
 
-    def narrowed(surface):
+    def narrowed(surface: PlacedSurface) -> PlacedSurface:
         low, high = surface.aperture.low, surface.aperture.high
         return replace(surface, aperture=ClearAperture(np.append([-5e-3], low[1:]), high))
 
@@ -127,7 +131,7 @@ def test_where_no_ray_passes_the_polynomial_continues_smoothly():
     assert np.abs(compiled.polynomial(inputs) - whole.polynomial(inputs)).max() < 0.12
 
 
-def test_a_box_that_no_ray_reaches_is_refused():
+def test_a_box_that_no_ray_reaches_is_refused() -> None:
     optics, plane = eye("birdbath28")
     box = display_box(optics)
     elsewhere = Box(box.low + [0.0, 0.0, 0.1, 0.1], box.high + [0.0, 0.0, 0.1, 0.1])
@@ -135,7 +139,7 @@ def test_a_box_that_no_ray_reaches_is_refused():
         compile_display(optics, np.zeros(12), plane, elsewhere)
 
 
-def test_tangents_are_those_from_the_place_on_the_base_plane():
+def test_tangents_are_those_from_the_place_on_the_base_plane() -> None:
     """A viewpoint off the plane sees the pixel along the same ray."""
     optics, plane = eye("birdbath28")
     compiled = compile_display(optics, np.zeros(12), plane, display_box(optics))

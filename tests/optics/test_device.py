@@ -10,7 +10,7 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.optics.media import AIR
 
 
-def test_media_change_in_both_paths_and_air_stays_air():
+def test_media_change_in_both_paths_and_air_stays_air() -> None:
     eye = load_device("birdbath28").eyes["right"]
     changed = eye.with_media(lambda medium: medium.shifted(0.02).shifted(-0.005))
     for path, before in ((changed.display, eye.display), (changed.see_through, eye.see_through)):
@@ -24,7 +24,7 @@ def test_media_change_in_both_paths_and_air_stays_air():
 
 
 @pytest.mark.parametrize("curvature", [(0.0, 0.0), (0.8, -0.5), (-6.0, 3.0)])
-def test_rays_to_points_of_a_bowed_panel_find_their_pixels(curvature):
+def test_rays_to_points_of_a_bowed_panel_find_their_pixels(curvature: tuple[float, float]) -> None:
     panel = replace(load_device("northstar").eyes["right"].panel, curvature=np.array(curvature))
     rng = np.random.default_rng(1)
     pixel = rng.uniform(0.0, 1.0, (200, 2)) * panel.pixels.size_px

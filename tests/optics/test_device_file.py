@@ -1,17 +1,18 @@
 """Prescriptions: the shipped ones are whole, units and frames are right, and faults are named in one sentence."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import shipped_names
-from wlr_render.optics.device import Interaction
+from wlr_render.optics.device import Device, Interaction
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM, Medium
 from wlr_render.optics.raised import Offset
-from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Asphere, SumOfProfiles, Toroid, XYPolynomial
+from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Asphere, SagSurface, SumOfProfiles, Toroid, XYPolynomial
 from wlr_render.optics.traced_mappings import traced_eye
 
 GOOD = """
@@ -63,14 +64,14 @@ _RAISED = (
 )
 
 
-def load(tmp_path, text):
+def load(tmp_path: Path, text: str) -> Device:
     path = tmp_path / "toy.toml"
     path.write_text(text, encoding="utf-8")
     return load_device(path)
 
 
 @pytest.mark.parametrize("name", shipped_names("devices", ".toml"))
-def test_shipped_devices_load_and_state_their_source(name):
+def test_shipped_devices_load_and_state_their_source(name: str) -> None:
     device = load_device(name)
     assert device.name == name
     assert device.source
@@ -80,7 +81,7 @@ def test_shipped_devices_load_and_state_their_source(name):
         )
 
 
-def test_millimetres_degrees_and_the_opencv_frame_are_converted(tmp_path):
+def test_millimetres_degrees_and_the_opencv_frame_are_converted(tmp_path: Path) -> None:
     eye = load(tmp_path, GOOD).eyes["right"]
     np.testing.assert_allclose(eye.eye_box.centre, [0.030, -0.001, -0.002])
     np.testing.assert_allclose(eye.panel.point_of_pixel(np.array([800.0, 0.0])), [0.05, 0.04, -0.06])
@@ -96,12 +97,12 @@ def test_millimetres_degrees_and_the_opencv_frame_are_converted(tmp_path):
     assert [step.medium.name for step in eye.see_through.steps] == ["glass", "air"]
 
 
-def test_the_same_numbers_in_the_openxr_frame_are_taken_as_they_are(tmp_path):
+def test_the_same_numbers_in_the_openxr_frame_are_taken_as_they_are(tmp_path: Path) -> None:
     eye = load(tmp_path, GOOD.replace('"opencv"', '"openxr"')).eyes["right"]
     np.testing.assert_allclose(eye.eye_box.centre, [0.030, 0.001, 0.002])
 
 
-def test_coefficients_in_millimetres_keep_the_sag(tmp_path):
+def test_coefficients_in_millimetres_keep_the_sag(tmp_path: Path) -> None:
     """z mm = 1e-3 x^2 y + 2e-4 y^3 at x = 10 mm, y = 20 mm is 3.6 mm."""
     text = GOOD.replace('shape = "conic"\nradius_mm = -80\nconic = -0.5', 'shape = "xy_polynomial"')
     text = text.replace("aperture_y_mm = [-20, 25]", "aperture_y_mm = [-20, 25]\nsag_mm = { x2y = 1e-3, y3 = 2e-4 }")
@@ -132,7 +133,7 @@ def test_coefficients_in_millimetres_keep_the_sag(tmp_path):
         ),
     ],
 )
-def test_other_sag_shapes_in_millimetres(tmp_path, lines, kind, sag_mm):
+def test_other_sag_shapes_in_millimetres(tmp_path: Path, lines: str, kind: type[SagSurface], sag_mm: float) -> None:
     text = GOOD.replace('shape = "conic"\nradius_mm = -80\nconic = -0.5', lines)
     shape = load(tmp_path, text).eyes["right"].surfaces()[0].shape
     assert isinstance(shape, kind)
@@ -149,7 +150,7 @@ def test_other_sag_shapes_in_millimetres(tmp_path, lines, kind, sag_mm):
         ("{}", "such as r4"),
     ],
 )
-def test_terms_of_an_asphere_are_checked(tmp_path, sag_mm, sentence):
+def test_terms_of_an_asphere_are_checked(tmp_path: Path, sag_mm: str, sentence: str) -> None:
     text = GOOD.replace('shape = "conic"\nradius_mm = -80\nconic = -0.5', f'shape = "asphere"\nsag_mm = {sag_mm}')
     with pytest.raises(BadInputError, match=sentence):
         load(tmp_path, text)
@@ -171,13 +172,13 @@ def test_terms_of_an_asphere_are_checked(tmp_path, sag_mm, sentence):
         ("cauchy = [1.5, 0.004, 0.0001]", 0.5, 1.5176),
     ],
 )  # fmt: skip
-def test_glasses_by_their_published_numbers(tmp_path, given, wavelength_um, index):
+def test_glasses_by_their_published_numbers(tmp_path: Path, given: str, wavelength_um: float, index: float) -> None:
     medium = load(tmp_path, GOOD.replace("index = 1.5", given)).eyes["right"].see_through.steps[0].medium
     assert medium.index(wavelength_um) == pytest.approx(index, abs=5e-6)
 
 
 @pytest.mark.parametrize(("index", "number"), [(1.5168, 64.17), (1.78472, 25.68), (1.4918, 57.4)])
-def test_an_abbe_number_is_met_exactly(index, number):
+def test_an_abbe_number_is_met_exactly(index: float, number: float) -> None:
     medium = Medium.abbe("glass", index, number)
     f_line, d_line, c_line = map(medium.index, FRAUNHOFER_F_D_C_UM)
     assert d_line == pytest.approx(index, abs=1e-14)
@@ -189,12 +190,12 @@ def test_an_abbe_number_is_met_exactly(index, number):
     # n_g of Schott's data sheets: N-BK7, N-SK16, N-SF6
     [(1.51680, 64.17, 1.52668), (1.62041, 60.32, 1.63312), (1.80518, 25.36, 1.84707)],
 )
-def test_an_abbe_number_gives_the_violet_of_normal_glasses(index, number, violet):
+def test_an_abbe_number_gives_the_violet_of_normal_glasses(index: float, number: float, violet: float) -> None:
     assert Medium.abbe("glass", index, number).index(0.4358343) == pytest.approx(violet, abs=7e-4)
 
 
 @pytest.mark.parametrize("given", ["index = 1.5", 'formula = "pmma_sultanova_2009"'])
-def test_a_medium_can_be_shifted_in_index(tmp_path, given):
+def test_a_medium_can_be_shifted_in_index(tmp_path: Path, given: str) -> None:
     plain = load(tmp_path, GOOD.replace("index = 1.5", given)).eyes["right"].see_through.steps[0].medium
     shifted = load(tmp_path, GOOD.replace("index = 1.5", f"{given}\nindex_shift = 0.004"))
     medium = shifted.eyes["right"].see_through.steps[0].medium
@@ -202,7 +203,7 @@ def test_a_medium_can_be_shifted_in_index(tmp_path, given):
 
 
 @pytest.mark.parametrize("axes", ["rotate_x_deg = -45", "z_axis = [1, 2, 2]\nx_axis = [2, 1, -2]"])
-def test_a_mirrored_surface_has_its_y_turned_round(tmp_path, axes):
+def test_a_mirrored_surface_has_its_y_turned_round(tmp_path: Path, axes: str) -> None:
     text = GOOD.replace("rotate_x_deg = -45", axes)
     proper = load(tmp_path, text).eyes["right"].surfaces()[0].device_from_surface
     improper = load(tmp_path, text.replace(axes, f"{axes}\nmirrored = true")).eyes["right"].surfaces()
@@ -210,12 +211,12 @@ def test_a_mirrored_surface_has_its_y_turned_round(tmp_path, axes):
     np.testing.assert_array_equal(improper[1].device_from_surface, improper[0].device_from_surface)
 
 
-def test_an_aperture_is_open_along_an_axis_that_is_left_out(tmp_path):
+def test_an_aperture_is_open_along_an_axis_that_is_left_out(tmp_path: Path) -> None:
     aperture = load(tmp_path, GOOD.replace("aperture_x_mm = [-30, 30]\n", "")).eyes["right"].surfaces()[0].aperture
     np.testing.assert_allclose([aperture.low, aperture.high], [[-np.inf, -0.02, -np.inf], [np.inf, 0.025, np.inf]])
 
 
-def test_other_eye_is_mirrored(tmp_path):
+def test_other_eye_is_mirrored(tmp_path: Path) -> None:
     device = load(tmp_path, GOOD.replace('side = "right"', 'side = "right"\nalso_mirrored = true'))
     right, left = device.eyes["right"], device.eyes["left"]
     np.testing.assert_allclose(left.eye_box.centre, right.eye_box.centre * [-1, 1, 1])
@@ -324,7 +325,7 @@ def test_other_eye_is_mirrored(tmp_path):
         (', { at = "back", do = "refract", into = "air" }', "", "must end in air"),
     ],
 )
-def test_faults_are_named(tmp_path, old, new, sentence):
+def test_faults_are_named(tmp_path: Path, old: str, new: str, sentence: str) -> None:
     assert old in GOOD
     with pytest.raises(BadInputError, match=sentence):
         load(tmp_path, GOOD.replace(old, new))
@@ -333,16 +334,16 @@ def test_faults_are_named(tmp_path, old, new, sentence):
 @pytest.mark.parametrize(
     "name", ["../../x", "a/b", "a\\\\b", "C:x", "/x", "..", ".hidden", "-flag", "a b", "a\\u001b[2J", "a\\n", ""]
 )
-def test_a_name_that_leads_out_of_the_output_folder_or_is_no_plain_one_is_refused(tmp_path, name):
+def test_a_name_that_leads_out_of_the_output_folder_or_is_no_plain_one_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(BadInputError, match=r"toy\.toml: 'name' is .*; output files are named after it: use letters"):
         load(tmp_path, GOOD.replace('name = "toy"', f'name = "{name}"'))
 
 
-def test_a_name_may_hold_letters_digits_and_marks_within(tmp_path):
+def test_a_name_may_hold_letters_digits_and_marks_within(tmp_path: Path) -> None:
     assert load(tmp_path, GOOD.replace('name = "toy"', 'name = "Prüfling_2.1-b"')).name == "Prüfling_2.1-b"
 
 
-def test_unused_surfaces_double_eyes_and_no_eye_are_refused(tmp_path):
+def test_unused_surfaces_double_eyes_and_no_eye_are_refused(tmp_path: Path) -> None:
     lonely = GOOD[GOOD.index("[[eye.surface]]") : GOOD.index('[[eye.surface]]\nname = "back"')]
     with pytest.raises(BadInputError, match="surface 'third' is in no path"):
         load(tmp_path, GOOD + lonely.replace('"front"', '"third"'))
@@ -360,13 +361,13 @@ def test_unused_surfaces_double_eyes_and_no_eye_are_refused(tmp_path):
         ("{ x99999y = 1 }", "'x99999y' is not a term in x and y of order 0 to 20"),
     ],
 )
-def test_terms_of_a_polynomial_are_checked(tmp_path, term, sentence):
+def test_terms_of_a_polynomial_are_checked(tmp_path: Path, term: str, sentence: str) -> None:
     text = GOOD.replace('shape = "conic"\nradius_mm = -80\nconic = -0.5', f'shape = "xy_polynomial"\nsag_mm = {term}')
     with pytest.raises(BadInputError, match=sentence):
         load(tmp_path, text)
 
 
-def test_unknown_name_lists_the_shipped_ones():
+def test_unknown_name_lists_the_shipped_ones() -> None:
     with pytest.raises(BadInputError, match="northstar"):
         load_device("northstat")
 
@@ -379,14 +380,14 @@ def test_unknown_name_lists_the_shipped_ones():
         ("centre_mm = [30, -40, 50]", "centre_mm = [30, -40, -1500]", "toy: no ray from the middle of the eye box"),
     ],
 )
-def test_a_device_that_loses_every_ray_says_so(tmp_path, old, new, sentence):
+def test_a_device_that_loses_every_ray_says_so(tmp_path: Path, old: str, new: str, sentence: str) -> None:
     assert old in GOOD
     device = load(tmp_path, GOOD.replace(old, new))
     with pytest.raises(BadInputError, match=sentence):
         traced_eye(device).display.view_dir_of_pixel(np.array([400.0, 200.0]), np.array([0.03, -0.001, -0.002]))
 
 
-def test_surfaces_stated_by_one_another_end_somewhere(tmp_path):
+def test_surfaces_stated_by_one_another_end_somewhere(tmp_path: Path) -> None:
     more = "".join(
         f'[[eye.surface]]\nname = "{name}"\nshape = "offset"\nof = "{base}"\ndistance_mm = 1\n'
         for base, name in itertools.pairwise(["front", *"abcdefg"])
@@ -395,7 +396,7 @@ def test_surfaces_stated_by_one_another_end_somewhere(tmp_path):
         load(tmp_path, GOOD + more)
 
 
-def test_a_raised_surface_can_be_raised_again(tmp_path):
+def test_a_raised_surface_can_be_raised_again(tmp_path: Path) -> None:
     """The surface between is in no path, but another one is stated by it."""
     again = GOOD.replace(*_RAISED).replace('name = "back"', 'name = "between"')
     again += f'\n[[eye.surface]]\nname = "back"\n{_RAISED[1].replace("front", "between")}\n'
@@ -406,7 +407,7 @@ def test_a_raised_surface_can_be_raised_again(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["model.json", "MODEL.JSON"])
-def test_a_model_given_as_a_device_is_named_as_one(tmp_path, monkeypatch, name):
+def test_a_model_given_as_a_device_is_named_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """Also by a name without a folder."""
     (tmp_path / name).write_text('{"format": "wlr-eye-model"}')
     monkeypatch.chdir(tmp_path)

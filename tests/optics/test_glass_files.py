@@ -1,33 +1,38 @@
 """Glasses: the thirteen dispersion formulas of Zemax' catalogues, and the catalogue of this package."""
 
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
+from present import present
 
 from wlr_render.errors import BadInputError
 from wlr_render.optics.glass_files import SHIPPED, read_glass_file, shipped_entries, shipped_glasses
-from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
+from wlr_render.optics.lens_files.glass_catalogues import Glass, GlassCatalogue
 from wlr_render.optics.media import AIR, FRAUNHOFER_F_D_C_UM
 
 LINES_UM = (0.4, 0.45, 0.5875618, 0.65, 0.7)
 
 
 @pytest.fixture(autouse=True)
-def _without_optiland(monkeypatch):
+def _without_optiland(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
 
 
-def glass(tmp_path, formula, coefficients, more=""):
+def glass(tmp_path: Path, formula: int | str, coefficients: str, more: str = "") -> Glass:
     path = tmp_path / "one.agf"
     path.write_text(f"CC test\nNM ONE {formula} 0 1.5 60 0 0 0\nGC of the test\nCD {coefficients}\n{more}")
-    return GlassCatalogue((path,)).find("one")
+    return present(GlassCatalogue((path,)).find("one"))
 
 
-def schott(powers):
+def schott(powers: tuple[int, ...]) -> Callable[..., Any]:
     return lambda c, L: np.sqrt(sum(value * L**power for value, power in zip(c, powers, strict=True)))
 
 
-def sellmeier(c, L):
-    return np.sqrt(1 + sum(k * L**2 / (L**2 - pole) for k, pole in zip(c[::2], c[1::2], strict=True)))
+def sellmeier(c: Sequence[float], L: float) -> float:
+    return float(np.sqrt(1 + sum(k * L**2 / (L**2 - pole) for k, pole in zip(c[::2], c[1::2], strict=True))))
 
 
 def herzberger(c, L):
@@ -60,7 +65,7 @@ FORMULAS = {
 
 
 @pytest.mark.parametrize("number", FORMULAS)
-def test_every_formula_of_zemax_is_read(tmp_path, number):
+def test_every_formula_of_zemax_is_read(tmp_path: Path, number: int) -> None:
     coefficients, expected = FORMULAS[number]
     written = " ".join(map(str, [*coefficients, *[0] * (10 - len(coefficients))]))
     found = glass(tmp_path, number, written).medium
@@ -69,12 +74,12 @@ def test_every_formula_of_zemax_is_read(tmp_path, number):
         assert found.index(wavelength_um) == pytest.approx(expected(coefficients, wavelength_um), abs=exact)
 
 
-def test_numbers_may_have_decimal_commas(tmp_path):
+def test_numbers_may_have_decimal_commas(tmp_path: Path) -> None:
     found = glass(tmp_path, "1,0", "2,25 0,0 0 0 0 0", "LD 0,35 2,5")
     assert found == glass(tmp_path, 1, "2.25 0 0 0 0 0", "LD 0.35 2.5")
 
 
-def test_a_term_without_a_pole_is_a_power(tmp_path):
+def test_a_term_without_a_pole_is_a_power(tmp_path: Path) -> None:
     """B / (L^2 - C) with C = 0, in the first formula of the Handbook of Optics."""
     assert glass(tmp_path, 7, "2.3 0.02 0 0.009").medium.index(0.5) == pytest.approx(np.sqrt(2.3 + 0.08 - 0.00225))
 
@@ -87,32 +92,32 @@ def test_a_term_without_a_pole_is_a_power(tmp_path):
         ("1.1515019 0.010598413 0.118583612 -0.011822519 1.26301359 129.617662", 1.51633),
     ],
 )
-def test_a_negative_pole_is_harmless(tmp_path, coefficients, n_d):
+def test_a_negative_pole_is_harmless(tmp_path: Path, coefficients: str, n_d: float) -> None:
     assert " -" in coefficients
     assert glass(tmp_path, 2, coefficients).medium.index(FRAUNHOFER_F_D_C_UM[1]) == pytest.approx(n_d, abs=6e-6)
 
 
 @pytest.mark.parametrize("pole", [0.2304, 0.36, 0.5])
-def test_a_pole_in_visible_light_is_refused(tmp_path, pole):
+def test_a_pole_in_visible_light_is_refused(tmp_path: Path, pole: float) -> None:
     with pytest.raises(BadInputError, match=r"one\.agf: line 4: glass 'ONE': the index (is infinite )?at"):
         glass(tmp_path, 2, f"1.1 0.01 1e-6 {pole} 0 0")
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-8-sig", "latin-1"])
-def test_catalogues_of_every_encoding(tmp_path, encoding):
+def test_catalogues_of_every_encoding(tmp_path: Path, encoding: str) -> None:
     path = tmp_path / "one.agf"
     path.write_bytes("CC Gläser\r\nNM EINS 1 0 1.5 60\r\nCD 2.25 0 0 0 0 0\r\n".encode(encoding))
-    assert GlassCatalogue((path,)).find("Eins").medium.index(0.5) == 1.5
+    assert present(GlassCatalogue((path,)).find("Eins")).medium.index(0.5) == 1.5
 
 
-def test_a_formula_used_beyond_its_range_is_told(tmp_path):
+def test_a_formula_used_beyond_its_range_is_told(tmp_path: Path) -> None:
     found = glass(tmp_path, 1, "2.25 0 0 0 0 0", "LD 0.9 14\n")
     assert found.is_other
     assert found.note == "its formula is stated from 0.9 to 14 um only, and is used beyond them"
     assert not glass(tmp_path, 1, "2.25 0 0 0 0 0", "LD 0.3 2.5\n").note
 
 
-def test_shipped_glasses_have_the_index_and_abbe_number_of_their_catalogues():
+def test_shipped_glasses_have_the_index_and_abbe_number_of_their_catalogues() -> None:
     """NM has the maker's own n_d and V_d, to the last digit that he states; CD is another line of his catalogue."""
     entries = shipped_entries()
     assert len(entries) >= 60
@@ -135,40 +140,45 @@ def test_shipped_glasses_have_the_index_and_abbe_number_of_their_catalogues():
         *(("S-LAH64", 1.78800), ("TAFD30", 1.88300), ("B270", 1.5230), ("OKP4", 1.608), ("SAPPHIRE", 1.7682)),
     ],
 )
-def test_common_names_are_found_without_a_catalogue(name, n_d):
+def test_common_names_are_found_without_a_catalogue(name: str, n_d: float) -> None:
     found = GlassCatalogue().find(name)
+    assert found is not None
     assert found.medium.index(FRAUNHOFER_F_D_C_UM[1]) == pytest.approx(n_d, abs=1e-4)
     assert "from this program's catalogue (" in found.note
     assert not found.is_other
 
 
-def test_names_of_other_glasses_are_not_taken_for_those_that_are_shipped():
+def test_names_of_other_glasses_are_not_taken_for_those_that_are_shipped() -> None:
     catalogue = GlassCatalogue()
-    assert catalogue.find("SF11").medium != catalogue.find("N-SF11").medium
-    assert catalogue.find("BK7").note.startswith("taken as N-BK7, ")
-    assert catalogue.find("F2", ("SCHOTT",)).medium.name == "F2"
+    assert present(catalogue.find("SF11")).medium != present(catalogue.find("N-SF11")).medium
+    assert present(catalogue.find("BK7")).note.startswith("taken as N-BK7, ")
+    assert present(catalogue.find("F2", ("SCHOTT",))).medium.name == "F2"
     assert catalogue.find("F2", ("CDGM_2022",)) is None
     assert catalogue.find("SF111") is None
-    assert catalogue.find("VACUUM").medium is AIR
+    assert present(catalogue.find("VACUUM")).medium is AIR
 
 
-def test_a_catalogue_of_the_user_comes_before_the_shipped_one(tmp_path):
+def test_a_catalogue_of_the_user_comes_before_the_shipped_one(tmp_path: Path) -> None:
     path = tmp_path / "own.agf"
     path.write_text("NM N-BK7 1 0 1.5 60\nCD 2.56 0 0 0 0 0\n")
     found = GlassCatalogue((path,)).find("N-BK7")
+    assert found is not None
     assert (found.medium.index(0.5), found.note) == (1.6, "")
 
 
-def test_of_two_catalogues_with_one_name_that_of_the_lens_file_counts(tmp_path):
+def test_of_two_catalogues_with_one_name_that_of_the_lens_file_counts(tmp_path: Path) -> None:
     first, second = tmp_path / "CDGM.agf", tmp_path / "schott.AGF"
     first.write_text("NM F2 1 0 1.5 60\nCD 2.56 0 0 0 0 0\n")
     second.write_text("NM F2 1 0 1.5 60\nCD 2.25 0 0 0 0 0\n")
     catalogue = GlassCatalogue((first, second))
-    found = [catalogue.find("F2", makers).medium.index(0.5) for makers in ((), ("SCHOTT", "CDGM"), ("CDGM", "SCHOTT"))]
+    found = [
+        present(catalogue.find("F2", makers)).medium.index(0.5)
+        for makers in ((), ("SCHOTT", "CDGM"), ("CDGM", "SCHOTT"))
+    ]
     assert found == [1.6, 1.5, 1.6]
 
 
-def test_a_glass_file_names_the_first_of_two_glasses(tmp_path):
+def test_a_glass_file_names_the_first_of_two_glasses(tmp_path: Path) -> None:
     path = tmp_path / "two.agf"
     path.write_text("NM A 1 0 1.5 40\nCD 2.25 0 0 0 0 0\nNM A 1 0 1.5 40\nCD 4 0 0 0 0 0\n")
     assert read_glass_file(path)["A"].medium().index(0.5) == 1.5

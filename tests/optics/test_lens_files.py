@@ -4,6 +4,7 @@ Stored rays and their origin: data/lens_files/README.md, make_lens_file_rays.py.
 """
 
 import json
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
@@ -16,22 +17,25 @@ from optics.make_lens_file_rays import (
     starting_rays,
     trace_with_optiland,
 )
+from present import present
 
 from wlr_render.errors import BadInputError
 from wlr_render.extras import install_command
 from wlr_render.mappings import Status
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Interaction, Path, PlacedSurface, Step
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.lens_file import read_lens_file
+from wlr_render.optics.lens_files.sequence import LensFile
 from wlr_render.optics.media import Medium
-from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Asphere, SumOfProfiles, Toroid, XYPolynomial
+from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Asphere, SagSurface, SumOfProfiles, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Conic
 from wlr_render.optics.tracer import trace
 
 CATALOGUE = GlassCatalogue((FOLDER / "some_glasses.agf",))
 
 
-def path_of(lens):
+def path_of(lens: LensFile) -> tuple[Path, list[int]]:
     """Path through the surfaces that bend rays, in the file's frame, and their places after the object."""
     places = [place for place in range(1, len(lens.surfaces)) if lens.bends_rays(place)]
     steps = []
@@ -42,7 +46,7 @@ def path_of(lens):
     return Path(tuple(steps)), places
 
 
-def assert_same_rays(path, rays):
+def assert_same_rays(path: Path, rays: FloatArray) -> None:
     """Rays in mm: origin, direction, points on every surface after the object, last direction; 1e-9 mm and 1e-9 rad."""
     _, lens = read_lens_file(path, CATALOGUE)
     optics, places = path_of(lens)
@@ -59,14 +63,14 @@ def assert_same_rays(path, rays):
 
 
 @pytest.mark.parametrize("name", [*OPTILAND, *RAYOPTICS])
-def test_stored_rays_of_other_programs(name):
+def test_stored_rays_of_other_programs(name: str) -> None:
     with np.load(STORED) as stored:
         assert_same_rays(FOLDER / name, stored[name])
 
 
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", OPTILAND)
-def test_live_rays_of_optiland(name):
+def test_live_rays_of_optiland(name: str) -> None:
     pytest.importorskip("optiland", reason="Optiland is not installed: pip install '.[oracle]'")
     origin, direction = starting_rays(*OPTILAND[name], seed=77)
     found = trace_with_optiland(FOLDER / name, origin, direction)
@@ -75,9 +79,9 @@ def test_live_rays_of_optiland(name):
 
 @pytest.mark.oracle
 @pytest.mark.parametrize(("name", "maker"), [("N-BK7", "schott"), ("SK16", "hikari"), ("F2", "hikari"), ("J-LAK7", "")])
-def test_glasses_of_the_database_are_those_of_optiland(name, maker):
+def test_glasses_of_the_database_are_those_of_optiland(name: str, maker: str) -> None:
     materials = pytest.importorskip("optiland.materials", reason="Optiland is not installed: pip install '.[glasses]'")
-    glass = GlassCatalogue().find(name, (maker,) if maker else ()).medium
+    glass = present(GlassCatalogue().find(name, (maker,) if maker else ())).medium
     expected = materials.Material(name, reference=maker) if maker else materials.Material(name)
     for wavelength_um in (0.45, 0.55, 0.65):
         assert glass.index(wavelength_um) == pytest.approx(np.asarray(expected.n(wavelength_um)).item(), abs=1e-12)
@@ -116,14 +120,14 @@ SURF 4
 """
 
 
-def lens_of(tmp_path, text, encoding="utf-8"):
+def lens_of(tmp_path: Path, text: str, encoding: str = "utf-8") -> LensFile:
     path = tmp_path / "lens.zmx"
     path.write_bytes(text.encode(encoding))
     return read_lens_file(path, CATALOGUE)[1]
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
-def test_zemax_text_of_every_encoding(tmp_path, encoding):
+def test_zemax_text_of_every_encoding(tmp_path: Path, encoding: str) -> None:
     lens = lens_of(tmp_path, ZMX.replace("front face", "Fläche"), encoding)
     assert [surface.number for surface in lens.surfaces] == [0, 1, 2, 3, 4]
     front = lens.surfaces[2]
@@ -136,7 +140,7 @@ def test_zemax_text_of_every_encoding(tmp_path, encoding):
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("IN", 0.0254), ("CM", 0.01), ("METER", 1.0)])
-def test_zemax_units_of_length(tmp_path, unit, metres):
+def test_zemax_units_of_length(tmp_path: Path, unit: str, metres: float) -> None:
     lens = lens_of(tmp_path, ZMX.replace("UNIT MM", f"UNIT {unit}"))
     assert lens.surfaces[2].shape.curvature == pytest.approx(0.025 / metres)
     assert lens.surfaces[4].file_from_surface[2, 3] == pytest.approx(54 * metres)
@@ -175,7 +179,9 @@ X, Y = np.array([0.004]), np.array([-0.003])
         ),
     ],
 )  # fmt: skip
-def test_shapes_of_zemax_have_the_sag_of_its_manual(tmp_path, lines, kind, sag):
+def test_shapes_of_zemax_have_the_sag_of_its_manual(
+    tmp_path: Path, lines: str, kind: type[SagSurface], sag: float
+) -> None:
     text = ZMX.replace(SPHERE, "".join(f"  {line.strip()}\n" for line in lines.splitlines()))
     lens = lens_of(tmp_path, text)
     assert not any(note.bends_rays for note in lens.ignored)
@@ -184,7 +190,7 @@ def test_shapes_of_zemax_have_the_sag_of_its_manual(tmp_path, lines, kind, sag):
     assert 1e3 * shape.sag_and_slopes(X, Y)[0] == pytest.approx(sag, rel=1e-12)
 
 
-def test_coordinate_breaks_turn_and_shift_what_follows_and_back(tmp_path):
+def test_coordinate_breaks_turn_and_shift_what_follows_and_back(tmp_path: Path) -> None:
     """The matrix is that of Zemax's own article on tilts, R = Rx Ry Rz; the second break undoes the first."""
     values = ["PARM 1 1.5", "PARM 2 -2", "PARM 3 10", "PARM 4 -20", "PARM 5 30"]
     there = "SURF 2\n  TYPE COORDBRK\n  DISZ 0\n" + "".join(f"  {value}\n" for value in values)
@@ -223,7 +229,7 @@ def test_coordinate_breaks_turn_and_shift_what_follows_and_back(tmp_path):
         ("MODE SEQ\n", "MODE SEQ\nMNUM 3 1\n", "MNUM", True),
     ],
 )
-def test_ignored_keys_are_named(tmp_path, old, new, key, bends_rays):
+def test_ignored_keys_are_named(tmp_path: Path, old: str, new: str, key: str, bends_rays: bool) -> None:
     assert old in ZMX
     lens = lens_of(tmp_path, ZMX.replace(old, new))
     assert (key, bends_rays) in [(note.key, note.bends_rays) for note in lens.ignored]
@@ -248,14 +254,18 @@ def test_ignored_keys_are_named(tmp_path, old, new, key, bends_rays):
         (ZMX, '{"optical_model": {}}', "key 'attributes' is missing"),
     ],
 )  # fmt: skip
-def test_faults_of_lens_files_are_named(tmp_path, monkeypatch, old, new, sentence):
+def test_faults_of_lens_files_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, sentence: str
+) -> None:
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
     assert old in ZMX
     with pytest.raises(BadInputError, match=sentence):
         lens_of(tmp_path, ZMX.replace(old, new))
 
 
-def test_a_glass_with_its_own_numbers_stands_in_for_a_catalogue(tmp_path, monkeypatch):
+def test_a_glass_with_its_own_numbers_stands_in_for_a_catalogue(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
     lens = lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", "MYPLASTIC 0 0 1.5312 56.0"))
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.5312)
@@ -264,7 +274,9 @@ def test_a_glass_with_its_own_numbers_stands_in_for_a_catalogue(tmp_path, monkey
 
 
 @pytest.mark.parametrize("numbers", ["0 0 0 0 0 0 0 0 0 0", "0 0 1.5 40", "0 0", ""])
-def test_zeros_beside_the_name_of_a_glass_state_no_index(tmp_path, monkeypatch, numbers):
+def test_zeros_beside_the_name_of_a_glass_state_no_index(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, numbers: str
+) -> None:
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
     found = lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", f"N-BK7 {numbers}"))
     assert found.surfaces[2].medium.index(0.5875618) == pytest.approx(1.5168, abs=5e-6)
@@ -272,27 +284,27 @@ def test_zeros_beside_the_name_of_a_glass_state_no_index(tmp_path, monkeypatch, 
         lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", f"NOSUCH {numbers}"))
 
 
-def test_a_glass_by_its_six_digit_code(tmp_path, monkeypatch):
+def test_a_glass_by_its_six_digit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
     lens = lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", "517642 0 0 0 0"))
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.517)
     assert [note.part for note in lens.ignored if note.key == "GLAS"] == ["glass"]
 
 
-def test_the_partial_dispersion_of_a_model_glass_is_read(tmp_path):
+def test_the_partial_dispersion_of_a_model_glass_is_read(tmp_path: Path) -> None:
     files = ZMX, ZMX.replace("64.17", "64.17 0.01")
     normal, other = (lens_of(tmp_path, text).surfaces[2].medium.index for text in files)
     differences = [index(0.4358343) - index(0.4861327) for index in (normal, other)]
     assert differences[1] - differences[0] == pytest.approx(0.01 * 0.5168 / 64.17)
 
 
-def test_lines_of_a_surface_need_no_indent(tmp_path):
+def test_lines_of_a_surface_need_no_indent(tmp_path: Path) -> None:
     lens = lens_of(tmp_path, "\n".join(line.strip() for line in ZMX.splitlines()))
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.5168)
     assert lens.surfaces[4].file_from_surface[2, 3] == pytest.approx(0.054)
 
 
-def test_a_comment_with_a_separator_of_latin_1_hides_no_lines(tmp_path):
+def test_a_comment_with_a_separator_of_latin_1_hides_no_lines(tmp_path: Path) -> None:
     lens = lens_of(tmp_path, ZMX.replace("  DIAM 15", "  COMM a\x85GLAS MIRROR\x0cCURV 9\n  DIAM 15"), "latin-1")
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.5168)
     assert lens.surfaces[2].shape.curvature == pytest.approx(25.0)
@@ -300,7 +312,7 @@ def test_a_comment_with_a_separator_of_latin_1_hides_no_lines(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["LAK", "BK", "LAN"])
-def test_a_catalogue_glass_is_no_model_glass_because_of_its_letters(tmp_path, name):
+def test_a_catalogue_glass_is_no_model_glass_because_of_its_letters(tmp_path: Path, name: str) -> None:
     """Zemax writes ___BLANK for a glass by index and Abbe number; these names have letters of it only."""
     catalogue = tmp_path / "a.agf"
     catalogue.write_text(f"NM {name} 1 0 1.5 40\nCD 2.56 0 0 0 0 0\n")
@@ -310,7 +322,9 @@ def test_a_catalogue_glass_is_no_model_glass_because_of_its_letters(tmp_path, na
     assert (glass.name, glass.index(0.5)) == (name, 1.6)
 
 
-def test_a_glass_in_no_catalogue_is_refused_with_the_command_that_installs_one(tmp_path, monkeypatch):
+def test_a_glass_in_no_catalogue_is_refused_with_the_command_that_installs_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     name = "NOSUCH"
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
     shapes = (FOLDER / "shapes.json").read_text().replace('"SK16"', f'"{name}"')
@@ -327,20 +341,20 @@ def test_a_glass_in_no_catalogue_is_refused_with_the_command_that_installs_one(t
         assert str(refused.value).endswith(f"{install_command('glasses')}")
 
 
-def test_a_catalogue_file_is_searched_by_name(tmp_path):
+def test_a_catalogue_file_is_searched_by_name(tmp_path: Path) -> None:
     lens = lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", "n-bk7 0 0 1.5 40"))
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.51680, abs=5e-6)
 
 
-def test_the_first_glass_of_a_name_counts_and_each_file_is_read_once(tmp_path):
+def test_the_first_glass_of_a_name_counts_and_each_file_is_read_once(tmp_path: Path) -> None:
     first, second = tmp_path / "first.agf", tmp_path / "second.agf"
     first.write_text("NM A 1 0 1.5 40\nCD 2.25 0 0 0 0 0\nNM A 1 0 1.5 40\nCD 4 0 0 0 0 0\n")
     second.write_text("NM a 1 0 1.5 40\nCD 9 0 0 0 0 0\nNM B 1 0 1.5 40\nCD 2.56 0 0 0 0 0 0 0 0 0\n")
     catalogue = GlassCatalogue((first, second))
-    assert catalogue.find("a").medium.index(0.5) == 1.5
+    assert present(catalogue.find("a")).medium.index(0.5) == 1.5
     first.unlink()
     second.unlink()
-    assert catalogue.find("B").medium.index(0.5) == 1.6
+    assert present(catalogue.find("B")).medium.index(0.5) == 1.6
 
 
 @pytest.mark.parametrize(
@@ -356,7 +370,7 @@ def test_the_first_glass_of_a_name_counts_and_each_file_is_read_once(tmp_path):
         ("a,b,c\n", "has no line 'NM' of a glass, so this is not a glass catalogue"),
     ],
 )
-def test_faults_of_catalogue_files_are_named(tmp_path, content, sentence):
+def test_faults_of_catalogue_files_are_named(tmp_path: Path, content: str, sentence: str) -> None:
     bad = tmp_path / "bad.agf"
     bad.write_text(content)
     with pytest.raises(BadInputError, match=rf"bad\.agf: .*{sentence}"):
@@ -364,7 +378,9 @@ def test_faults_of_catalogue_files_are_named(tmp_path, content, sentence):
 
 
 @pytest.mark.parametrize("kind", ["tilt", ["bend"], {}])
-def test_a_decentre_of_another_kind_is_refused(tmp_path, kind):
+def test_a_decentre_of_another_kind_is_refused(
+    tmp_path: Path, kind: Mapping[object, object] | Sequence[str] | str
+) -> None:
     file = json.loads((FOLDER / "decentred.roa").read_text())
     surfaces = file["optical_model"]["attributes"]["seq_model"]["attributes"]["ifcs"]
     decentre = next(each["attributes"]["decenter"] for each in surfaces if each["attributes"]["decenter"])
@@ -376,12 +392,12 @@ def test_a_decentre_of_another_kind_is_refused(tmp_path, kind):
         read_lens_file(path, CATALOGUE)
 
 
-def test_planes_are_planes(tmp_path):
+def test_planes_are_planes(tmp_path: Path) -> None:
     assert lens_of(tmp_path, ZMX).surfaces[4].shape == Conic(0.0)
 
 
 @pytest.mark.parametrize("name", ["HoO-V2C18Ex66NEW.zmx", "shapes.json", "decentred.roa"])
-def test_damaged_lens_files_are_read_or_refused_in_a_sentence(tmp_path, name):
+def test_damaged_lens_files_are_read_or_refused_in_a_sentence(tmp_path: Path, name: str) -> None:
     rng = np.random.default_rng(3)
     whole = (FOLDER / name).read_bytes()
     path = tmp_path / name
@@ -399,7 +415,7 @@ def test_damaged_lens_files_are_read_or_refused_in_a_sentence(tmp_path, name):
     assert all(name in sentence for sentence in sentences)
 
 
-def test_a_mirror_of_an_older_optiland_is_a_mirror(tmp_path):
+def test_a_mirror_of_an_older_optiland_is_a_mirror(tmp_path: Path) -> None:
     file = json.loads((FOLDER / "shapes.json").read_text())
     surface = file["surface_group"]["surfaces"][3]
     del surface["interaction_model"]
@@ -411,7 +427,7 @@ def test_a_mirror_of_an_older_optiland_is_a_mirror(tmp_path):
 
 
 @pytest.mark.parametrize("found", ["N-SF99", "sf99"])
-def test_a_glass_of_a_similar_name_is_told(tmp_path, monkeypatch, found):
+def test_a_glass_of_a_similar_name_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: str) -> None:
     monkeypatch.setattr(
         "wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland",
         lambda name, makers: Medium.abbe(found, 1.67271, 32.25),
@@ -424,7 +440,7 @@ def test_a_glass_of_a_similar_name_is_told(tmp_path, monkeypatch, found):
 
 
 @pytest.mark.oracle
-def test_optilands_nearest_name_is_not_taken_for_the_glass():
+def test_optilands_nearest_name_is_not_taken_for_the_glass() -> None:
     pytest.importorskip("optiland.materials", reason="Optiland is not installed: pip install '.[glasses]'")
-    assert GlassCatalogue().find("SF8", ("schott",)).medium.name != "SF8"
-    assert GlassCatalogue().find("N-SF8", ("schott",)).medium.name == "N-SF8"
+    assert present(GlassCatalogue().find("SF8", ("schott",))).medium.name != "SF8"
+    assert present(GlassCatalogue().find("N-SF8", ("schott",))).medium.name == "N-SF8"

@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.glass_files import shipped_glasses
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.raised import FormError, Offset, raised
@@ -17,24 +18,24 @@ from wlr_render.optics.sag_surfaces import (
     Toroid,
     XYPolynomial,
 )
-from wlr_render.optics.surfaces import Conic, Ellipsoid
+from wlr_render.optics.surfaces import Conic, Ellipsoid, Shape
 
 COEFFICIENTS = np.array([[0.0, 0.02, -1.5, 30.0], [-0.01, 0.3, -8.0, 0.0], [-2.0, 10.0, 0.0, 0.0]])
 
 
-def conic_sag(x, y, c, k):
+def conic_sag(x: FloatArray, y: float, c: float, k: float) -> FloatArray:
     r2 = x * x + y * y
-    return c * r2 / (1 + np.sqrt(1 - (1 + k) * c * c * r2))
+    return np.asarray(c * r2 / (1 + np.sqrt(1 - (1 + k) * c * c * r2)))
 
 
-def toroid_level(p, rx=-0.08, ry=0.06):
+def toroid_level(p, rx: float = -0.08, ry: float = 0.06):
     profile = rx + np.hypot(p[0], rx - p[2])  # sag of the circle at this distance from the axis
     return np.hypot(profile - ry, p[1]) - abs(ry)
 
 
-def polynomial_level(p):
+def polynomial_level(p: FloatArray) -> FloatArray:
     terms = (COEFFICIENTS[m, n] * p[0] ** m * p[1] ** n for m in range(3) for n in range(4))
-    return p[2] - sum(terms) - conic_sag(p[0], p[1], -5.0, 0.4)
+    return np.asarray(p[2] - sum(terms) - conic_sag(p[0], p[1], -5.0, 0.4))
 
 
 def anamorphic_level(p):
@@ -49,9 +50,9 @@ def even_asphere_level(p):
     return p[2] - conic_sag(p[0], p[1], -7.0, -1.4) - 0.5 * r2 + 300.0 * r2**2 - 2e5 * r2**3
 
 
-def odd_asphere_level(p):
+def odd_asphere_level(p: FloatArray) -> FloatArray:
     r = np.hypot(p[0], p[1])
-    return p[2] - 1.5 * r**2 + 20.0 * r**3 - 900.0 * r**5
+    return np.asarray(p[2] - 1.5 * r**2 + 20.0 * r**3 - 900.0 * r**5)
 
 
 def sum_of_profiles_level(p):
@@ -64,13 +65,13 @@ ASKEW = rigid(rotations_of_vectors(np.array([0.2, -0.3, 0.1])), np.array([0.003,
 BESIDE = rigid(np.eye(3), np.array([0.004, 0.003, 0.0]))
 
 
-def raise_height(p):
+def raise_height(p: FloatArray) -> FloatArray:
     x, y, _ = ASKEW[:3, :3].T @ (p.T - ASKEW[:3, 3]).T
     r2 = (p[0] - 0.004) ** 2 + (p[1] - 0.003) ** 2
-    return 0.9 * x**2 + 0.3 * x * y - 0.6 * y**2 - 2e-4 * np.exp(-r2 / (2 * 0.006**2))
+    return np.asarray(0.9 * x**2 + 0.3 * x * y - 0.6 * y**2 - 2e-4 * np.exp(-r2 / (2 * 0.006**2)))
 
 
-def with_errors(shape):
+def with_errors(shape: Shape) -> Offset:
     return raised(raised(shape, FormError(XYPolynomial(SADDLE), ASKEW)), FormError(GaussianBump(-2e-4, 0.006), BESIDE))
 
 
@@ -118,7 +119,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", ["even asphere", "odd asphere", "sum of profiles"])
-def test_slopes_are_the_derivatives_of_the_sag(name):
+def test_slopes_are_the_derivatives_of_the_sag(name: str) -> None:
     """By central differences; also on the axis, where r itself has no derivative."""
     shape, _ = SHAPES[name]
     rng = np.random.default_rng(8)
@@ -133,7 +134,7 @@ def test_slopes_are_the_derivatives_of_the_sag(name):
     assert slope_x[50] == slope_y[50] == 0.0
 
 
-def random_rays(rng, count):
+def random_rays(rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
     """Rays from before the vertex through a patch around it, up to 35 degrees off the axis."""
     target = np.stack([*rng.uniform(-0.02, 0.02, (2, count)), np.zeros(count)])
     origin = np.stack([*rng.uniform(-0.03, 0.03, (2, count)), np.full(count, -0.1)])
@@ -142,7 +143,7 @@ def random_rays(rng, count):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_rays_end_on_the_surface(name):
+def test_rays_end_on_the_surface(name: str) -> None:
     shape, level = SHAPES[name]
     origin, direction = random_rays(np.random.default_rng(1), 10_000)
     hits = shape.meet(origin, direction)
@@ -155,7 +156,7 @@ def test_rays_end_on_the_surface(name):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_normal_is_the_gradient_of_the_surfaces_equation(name):
+def test_normal_is_the_gradient_of_the_surfaces_equation(name: str) -> None:
     shape, level = SHAPES[name]
     origin, direction = random_rays(np.random.default_rng(2), 200)
     point = origin + np.fmin.reduce(np.abs(shape.meet(origin, direction).distance)) * direction
@@ -167,7 +168,7 @@ def test_normal_is_the_gradient_of_the_surfaces_equation(name):
     np.testing.assert_allclose(np.cross(normal.T, gradient.T), 0.0, atol=2e-8)
 
 
-def test_both_roots_are_found_in_order():
+def test_both_roots_are_found_in_order() -> None:
     shape, _ = SHAPES["ellipsoid"]
     origin, direction = random_rays(np.random.default_rng(3), 1000)
     inside = shape.meet(origin + 0.05 * direction, direction).distance
@@ -176,7 +177,7 @@ def test_both_roots_are_found_in_order():
     assert np.all(outside[0] <= outside[1])
 
 
-def test_half_spheres_and_sheets_that_are_not_the_surface_are_no_roots():
+def test_half_spheres_and_sheets_that_are_not_the_surface_are_no_roots() -> None:
     axis = np.array([[0.0], [0.0], [-0.2]]), np.array([[0.0], [0.0], [1.0]])
     sphere = Conic(1 / 0.07).meet(*axis).distance
     np.testing.assert_allclose(sphere[np.isfinite(sphere)], 0.2, atol=1e-15)
@@ -184,13 +185,13 @@ def test_half_spheres_and_sheets_that_are_not_the_surface_are_no_roots():
     np.testing.assert_allclose(hyperboloid[np.isfinite(hyperboloid)], 0.2, atol=1e-15)
 
 
-def test_ray_past_a_sphere_has_no_root_and_no_warning_of_convergence():
+def test_ray_past_a_sphere_has_no_root_and_no_warning_of_convergence() -> None:
     hits = Ellipsoid(np.full(3, 0.1)).meet(np.array([[0.2], [0.0], [-1.0]]), np.array([[0.0], [0.0], [1.0]]))
     assert np.isnan(hits.distance).all()
     assert hits.converged.all()
 
 
-def test_newton_reports_when_it_does_not_converge():
+def test_newton_reports_when_it_does_not_converge() -> None:
     """A ray across a trough, above it: there is nothing to find, and the slope changes sign."""
     trough = XYPolynomial(np.array([[0.0], [0.0], [-30.0]]))
     slope = 1e-3
@@ -199,7 +200,7 @@ def test_newton_reports_when_it_does_not_converge():
     assert not hits.converged[0] or np.isnan(hits.distance).all()
 
 
-def test_offset_points_lie_at_exactly_the_distance():
+def test_offset_points_lie_at_exactly_the_distance() -> None:
     """Base points moved along the analytic normal must be found by any ray through them."""
     rng = np.random.default_rng(4)
     axes = np.array([0.124975, 0.124975, 0.1575])
@@ -218,13 +219,13 @@ def test_offset_points_lie_at_exactly_the_distance():
     np.testing.assert_allclose(offset.normal(point), normal, atol=1e-14)
 
 
-def test_offset_is_the_nearest_distance_to_its_base():
+def test_offset_is_the_nearest_distance_to_its_base() -> None:
     axes = np.array([0.1, 0.12, 0.16])
     offset = Offset(Ellipsoid(axes), 0.003)
     origin, direction = np.zeros((3, 1)), np.array([[0.6], [0.48], [0.64]])
     point = (origin + offset.meet(origin, direction).distance[1] * direction)[:, 0]
 
-    def distance(angles):
+    def distance(angles: FloatArray) -> float:
         polar, azimuth = angles
         unit = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
         return np.linalg.norm(axes * unit - point)
@@ -232,12 +233,12 @@ def test_offset_is_the_nearest_distance_to_its_base():
     assert minimize(distance, [0.9, 0.7], tol=1e-12).fun == pytest.approx(0.003, abs=1e-12)
 
 
-def test_pmma_has_the_published_indices():
+def test_pmma_has_the_published_indices() -> None:
     pmma = shipped_glasses()["pmma_sultanova_2009"]
     assert [round(pmma.index(um), 5) for um in (0.45, 0.55, 0.65)] == [1.50061, 1.49259, 1.48809]
     assert pmma.index(0.5876) == pytest.approx(1.4906, abs=5e-4)  # refractiveindex.info lists 1.4906 there
 
 
-def test_constant_media():
+def test_constant_media() -> None:
     assert AIR.index(0.55) == 1.0
     assert Medium.constant("glass", 1.5).index(0.4) == pytest.approx(1.5, abs=1e-15)

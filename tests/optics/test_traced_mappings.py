@@ -1,5 +1,8 @@
 """The exact mappings: round trips on every shipped device, closed-form devices, statuses, batch shapes."""
 
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,7 +11,8 @@ from wlr_render.geometry import rays
 from wlr_render.geometry.directions import dir_of_tangents, normalised
 from wlr_render.geometry.transforms import apply
 from wlr_render.io.atomic_files import resource, shipped_names
-from wlr_render.mappings import Status
+from wlr_render.mappings import Eye, Status
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.surfaces import Conic
 from wlr_render.optics.traced_mappings import traced_eye
@@ -19,11 +23,11 @@ CORNERS = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 
 
 
 @pytest.fixture(scope="module")
-def mappings():
+def mappings() -> dict[str, Eye]:
     return {name: traced_eye(load_device(name)) for name in DEVICES}
 
 
-def queries(eye, count=400, seed=11):
+def queries(eye: Eye, count: int = 400, seed: int = 11) -> tuple[FloatArray, FloatArray]:
     """Pixels over the whole panel, its corners included, and viewpoints over the whole box, its corners included."""
     rng = np.random.default_rng(seed)
     pixel = rng.uniform(0, 1, (count, 2))
@@ -35,7 +39,7 @@ def queries(eye, count=400, seed=11):
 
 
 @pytest.mark.parametrize("name", DEVICES)
-def test_display_round_trip_over_the_whole_panel_and_eye_box(mappings, name):
+def test_display_round_trip_over_the_whole_panel_and_eye_box(mappings: Mapping[str, Eye], name: str) -> None:
     eye = mappings[name]
     pixel, viewpoint = queries(eye)
     seen = eye.display.view_dir_of_pixel(pixel, viewpoint)
@@ -48,7 +52,9 @@ def test_display_round_trip_over_the_whole_panel_and_eye_box(mappings, name):
 
 @pytest.mark.parametrize("name", DEVICES)
 @pytest.mark.parametrize("distance", [0.3, 2.0, 1e4])
-def test_see_through_round_trip_over_the_displays_field(mappings, name, distance):
+def test_see_through_round_trip_over_the_displays_field(
+    mappings: Mapping[str, Eye], name: str, distance: float
+) -> None:
     """Real points from 0.3 m to infinity, seen wherever the display is seen."""
     eye = mappings[name]
     pixel, viewpoint = queries(eye)
@@ -65,7 +71,7 @@ def test_see_through_round_trip_over_the_displays_field(mappings, name, distance
 
 
 @pytest.mark.parametrize("name", ["northstar", "prism5701202", "no_optics"])
-def test_directions_of_real_points_cover_the_display_as_well(mappings, name):
+def test_directions_of_real_points_cover_the_display_as_well(mappings: Mapping[str, Eye], name: str) -> None:
     """A virtual point anywhere in the field at 0.3 m and beyond has a view direction, not only those shot at."""
     eye = mappings[name]
     pixel, viewpoint = queries(eye, 100)
@@ -74,7 +80,7 @@ def test_directions_of_real_points_cover_the_display_as_well(mappings, name):
 
 
 @pytest.mark.parametrize("lead", [(), (1,), (3, 1, 2)])
-def test_batch_shapes_broadcasting_and_warm_start(mappings, lead):
+def test_batch_shapes_broadcasting_and_warm_start(mappings: Mapping[str, Eye], lead: tuple[int, ...]) -> None:
     eye = mappings["northstar"]
     count = int(np.prod(lead))
     pixel, viewpoint = queries(eye)
@@ -95,7 +101,7 @@ def test_batch_shapes_broadcasting_and_warm_start(mappings, lead):
     np.testing.assert_allclose(second.value, first.value, atol=1e-12)
 
 
-def test_more_queries_than_a_block_and_a_useless_warm_start(mappings):
+def test_more_queries_than_a_block_and_a_useless_warm_start(mappings: Mapping[str, Eye]) -> None:
     eye = mappings["no_optics"]
     pixel, viewpoint = queries(eye, 70_000)
     useless = np.full(pixel.shape, np.nan)
@@ -104,7 +110,7 @@ def test_more_queries_than_a_block_and_a_useless_warm_start(mappings):
     np.testing.assert_allclose(seen.value, normalised(panel.point_of_pixel(pixel) - viewpoint), atol=1e-12)
 
 
-def test_a_warm_start_that_is_far_off_loses_no_answer(mappings):
+def test_a_warm_start_that_is_far_off_loses_no_answer(mappings: Mapping[str, Eye]) -> None:
     eye = mappings["birdbath28"]
     pixel, viewpoint = queries(eye)
     seen = eye.display.view_dir_of_pixel(pixel, viewpoint)
@@ -113,7 +119,7 @@ def test_a_warm_start_that_is_far_off_loses_no_answer(mappings):
 
 
 @pytest.mark.parametrize("name", ["flat_mirror", "plane_plate", "tilted_plate"])
-def test_flat_mirror_shows_the_panels_mirror_image(mappings, name):
+def test_flat_mirror_shows_the_panels_mirror_image(mappings: Mapping[str, Eye], name: str) -> None:
     """All three show the panel in a mirror through (0, 0, -40 mm) with its normal half-way between up and back."""
     eye = mappings[name]
     pixel, viewpoint = queries(eye)
@@ -125,7 +131,7 @@ def test_flat_mirror_shows_the_panels_mirror_image(mappings, name):
 
 
 @pytest.mark.parametrize("name", ["no_optics", "flat_mirror", "prism5701202"])
-def test_without_a_see_through_path_the_world_is_straight(mappings, name):
+def test_without_a_see_through_path_the_world_is_straight(mappings: Mapping[str, Eye], name: str) -> None:
     eye = mappings[name]
     _, viewpoint = queries(eye, 50)
     point = viewpoint + np.random.default_rng(12).uniform([-1, -1, -3], [1, 1, -0.3], (50, 3))
@@ -137,7 +143,9 @@ def test_without_a_see_through_path_the_world_is_straight(mappings, name):
     ("name", "normal", "thickness"),
     [("plane_plate", [0.0, 0.0, -1.0], 0.005), ("tilted_plate", [0.0, -np.sqrt(0.5), -np.sqrt(0.5)], 0.005)],
 )
-def test_plate_shifts_rays_by_the_textbook_amount_and_turns_none(mappings, name, normal, thickness):
+def test_plate_shifts_rays_by_the_textbook_amount_and_turns_none(
+    mappings: Mapping[str, Eye], name: str, normal: Sequence[float], thickness: float
+) -> None:
     """Lateral shift t sin a (1 - cos a / sqrt(n^2 - sin^2 a)), towards the side the ray leans to."""
     eye = mappings[name]
     pixel, viewpoint = queries(eye)
@@ -155,7 +163,7 @@ def test_plate_shifts_rays_by_the_textbook_amount_and_turns_none(mappings, name,
     assert np.all(np.sum(offset * lean, axis=-1) >= 0)
 
 
-def test_left_eye_mirrors_the_right_one():
+def test_left_eye_mirrors_the_right_one() -> None:
     device = load_device("northstar")
     right, left = traced_eye(device, "right"), traced_eye(device, "left")
     assert (right.eye, left.eye) == ("right", "left")
@@ -174,7 +182,7 @@ def test_left_eye_mirrors_the_right_one():
         assert row[0, 0] < row[1, 0]
 
 
-def test_statuses_outside_panel_aperture_and_field(mappings):
+def test_statuses_outside_panel_aperture_and_field(mappings: Mapping[str, Eye]) -> None:
     eye = mappings["freeform40"]
     centre = eye.eye_box.centre
     beyond = eye.display.view_dir_of_pixel(np.array([[-1.0, 500.0], [960.0, 540.0], [np.nan, 0.0]]), centre)
@@ -191,7 +199,7 @@ def test_statuses_outside_panel_aperture_and_field(mappings):
     assert np.isnan(world.value[1]).all()
 
 
-def test_points_behind_the_eye_or_before_the_optics_are_missed(mappings):
+def test_points_behind_the_eye_or_before_the_optics_are_missed(mappings: Mapping[str, Eye]) -> None:
     eye = mappings["freeform40"]
     point = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -0.01], [0.0, 0.0, -1.0], [np.nan, 0.0, -1.0]])
     seen = eye.see_through.view_dir_of_real_point(point, eye.eye_box.centre)
@@ -199,11 +207,11 @@ def test_points_behind_the_eye_or_before_the_optics_are_missed(mappings):
     assert not seen.usable[3]
 
 
-def test_prism_meets_the_patents_figures():
+def test_prism_meets_the_patents_figures() -> None:
     """Image height 9.84 mm at 15 degrees and 10 to 30 um spots for a 4 mm pupil, about the patent's own pupil."""
     optics = load_device("prism5701202").eyes["right"]
 
-    def on_panel_mm(pupil, view_dir):
+    def on_panel_mm(pupil: FloatArray, view_dir: FloatArray) -> FloatArray:
         traced = trace(optics.display, pupil, view_dir, 0.5876)
         assert (traced.status == Status.OK).all()
         pose = optics.panel.panel_from_device
@@ -223,7 +231,9 @@ def test_prism_meets_the_patents_figures():
 
 
 @pytest.mark.parametrize(("name", "number"), [("freeform40", 0), ("prism5701202", 0)])
-def test_newton_finds_the_first_crossing_inside_the_aperture(mappings, name, number):
+def test_newton_finds_the_first_crossing_inside_the_aperture(
+    mappings: Mapping[str, Eye], name: str, number: int
+) -> None:
     """Against a plain search along each ray in steps of 5 um."""
     optics = load_device(name).eyes["right"]
     surface = optics.display.steps[number].surface
@@ -242,12 +252,12 @@ def test_newton_finds_the_first_crossing_inside_the_aperture(mappings, name, num
     np.testing.assert_allclose(along[crossing.argmax(axis=1)], met, atol=6e-6)
 
 
-def test_an_eye_that_is_not_there():
+def test_an_eye_that_is_not_there() -> None:
     with pytest.raises(BadInputError, match="'freeform40' has no left eye; choose right"):
         traced_eye(load_device("freeform40"), "left")
 
 
-def test_a_panel_that_no_ray_reaches_is_refused(tmp_path):
+def test_a_panel_that_no_ray_reaches_is_refused(tmp_path: Path) -> None:
     text = resource("devices", "flat_mirror.toml").read_text(encoding="utf-8")
     hidden = tmp_path / "hidden.toml"
     hidden.write_text(text.replace("[0.0, -40.0, 40.0]", "[0.0, 40.0, 40.0]"), encoding="utf-8")
@@ -256,7 +266,7 @@ def test_a_panel_that_no_ray_reaches_is_refused(tmp_path):
         eye.display.view_dir_of_pixel(np.zeros(2), np.zeros(3))
 
 
-def test_a_display_whose_pixels_are_not_found_is_refused(tmp_path):
+def test_a_display_whose_pixels_are_not_found_is_refused(tmp_path: Path) -> None:
     text = resource("devices", "freeform40.toml").read_text(encoding="utf-8")
     path = tmp_path / "wavy.toml"
     path.write_text(text.replace("y6 = -7.73169236e-10", "y6 = -2e-6"))
@@ -266,6 +276,6 @@ def test_a_display_whose_pixels_are_not_found_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("wavelength_um", [0.0, -0.5, 550.0, np.nan])
-def test_a_wavelength_that_is_no_light_is_refused(wavelength_um):
+def test_a_wavelength_that_is_no_light_is_refused(wavelength_um: float) -> None:
     with pytest.raises(BadInputError, match=r"the wavelength is .*; give micrometres from 0\.3 to 3"):
         traced_eye(load_device("no_optics"), "right", wavelength_um)

@@ -6,32 +6,33 @@ from optics.test_optics_shapes import SHAPES, random_rays
 
 from wlr_render.geometry.transforms import apply, rigid, rotate, rotation_about
 from wlr_render.mappings import Status
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture, Interaction, Path, PlacedSurface, Step
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.surfaces import Conic, Ellipsoid
-from wlr_render.optics.tracer import trace
+from wlr_render.optics.surfaces import Conic, Ellipsoid, Shape
+from wlr_render.optics.tracer import Trace, trace
 
 GLASS = Medium.constant("glass", 1.5)
 OPEN = ClearAperture(np.full(3, -np.inf), np.full(3, np.inf))
 POSE = rigid(rotation_about("y", 0.7) @ rotation_about("x", -2.1), np.array([0.03, -0.2, 0.11]))
 
 
-def placed(shape, pose=POSE, aperture=OPEN, name="s"):
+def placed(shape: Shape, pose: FloatArray = POSE, aperture: ClearAperture = OPEN, name: str = "s") -> PlacedSurface:
     return PlacedSurface(name, shape, pose, aperture)
 
 
-def rays_in_device(rng, count):
+def rays_in_device(rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
     origin, direction = random_rays(rng, count)
     return apply(POSE, origin.T), rotate(POSE, direction.T)
 
 
-def normals_at(surface, point):
+def normals_at(surface: PlacedSurface, point: FloatArray) -> FloatArray:
     local = apply(surface.surface_from_device, point)
     return rotate(surface.device_from_surface, surface.shape.normal(local.T).T)
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_snells_law_and_coplanarity(name):
+def test_snells_law_and_coplanarity(name: str) -> None:
     """n d x N is the same before and after: both the sines and the plane of incidence."""
     surface = placed(SHAPES[name][0])
     origin, direction = rays_in_device(np.random.default_rng(5), 10_000)
@@ -45,7 +46,7 @@ def test_snells_law_and_coplanarity(name):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_law_of_reflection(name):
+def test_law_of_reflection(name: str) -> None:
     """The part along the normal turns round, the part across it stays."""
     surface = placed(SHAPES[name][0])
     origin, direction = rays_in_device(np.random.default_rng(6), 10_000)
@@ -57,7 +58,7 @@ def test_law_of_reflection(name):
 
 
 @pytest.mark.parametrize("lead", [(), (1,), (3, 1, 2)])
-def test_batch_shapes_and_broadcasting(lead):
+def test_batch_shapes_and_broadcasting(lead: tuple[int, ...]) -> None:
     steps = tuple(Step(placed(Conic(c)), Interaction.REFRACT, m) for c, m in ((3.0, GLASS), (-4.0, AIR)))
     origin, direction = rays_in_device(np.random.default_rng(7), 6)
     count = int(np.prod(lead))
@@ -69,7 +70,7 @@ def test_batch_shapes_and_broadcasting(lead):
     np.testing.assert_array_equal(traced.direction.reshape(-1, 3), one_by_one)
 
 
-def test_many_rays_are_what_they_are_one_chunk_at_a_time():
+def test_many_rays_are_what_they_are_one_chunk_at_a_time() -> None:
     path = Path((Step(placed(Conic(5.0, -2.0)), Interaction.REFRACT, GLASS),))
     origin, direction = rays_in_device(np.random.default_rng(8), 20_001)
     whole = trace(path, origin, direction, 0.55)
@@ -77,7 +78,7 @@ def test_many_rays_are_what_they_are_one_chunk_at_a_time():
     np.testing.assert_allclose(whole.direction[-3:], part.direction, atol=1e-16)
 
 
-def test_paraboloid_focuses_parallel_rays():
+def test_paraboloid_focuses_parallel_rays() -> None:
     radius = 0.08
     path = Path((Step(placed(Conic(-1 / radius, -1.0), np.eye(4)), Interaction.REFLECT, AIR),))
     start = np.random.default_rng(9).uniform(-0.03, 0.03, (500, 3)) * [1, 1, 0] - [0, 0, 0.2]
@@ -86,7 +87,7 @@ def test_paraboloid_focuses_parallel_rays():
     np.testing.assert_allclose(np.cross(traced.direction, to_focus), 0.0, atol=1e-16)
 
 
-def test_ellipsoid_sends_rays_from_one_focus_to_the_other():
+def test_ellipsoid_sends_rays_from_one_focus_to_the_other() -> None:
     focus = np.array([0.0, 0.0, np.sqrt(0.16**2 - 0.1**2)])
     path = Path((Step(placed(Ellipsoid(np.array([0.1, 0.1, 0.16])), np.eye(4)), Interaction.REFLECT, AIR),))
     direction = np.random.default_rng(10).normal(size=(1000, 3))
@@ -94,18 +95,18 @@ def test_ellipsoid_sends_rays_from_one_focus_to_the_other():
     np.testing.assert_allclose(np.cross(traced.direction, -focus - traced.origin), 0.0, atol=2e-16)
 
 
-def test_centre_of_a_sphere_sees_itself():
+def test_centre_of_a_sphere_sees_itself() -> None:
     path = Path((Step(placed(Conic(-1 / 0.05), np.eye(4)), Interaction.REFLECT, AIR),))
     direction = np.array([[0.3, -0.2, np.sqrt(1 - 0.13)], [0.0, 0.0, 1.0]])
     traced = trace(path, np.array([0.0, 0.0, -0.05]), direction, 0.55)
     np.testing.assert_allclose(traced.direction, -direction, atol=1e-15)
 
 
-def test_aperture_chooses_the_root_and_clips():
+def test_aperture_chooses_the_root_and_clips() -> None:
     """A ray crosses a sphere twice: the aperture says which crossing is the surface, or that neither is."""
     axis = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])
 
-    def met(low, high):
+    def met(low: float, high: float) -> Trace:
         aperture = ClearAperture(np.array([-1, -1, low]), np.array([1, 1, high]))
         surface = placed(Ellipsoid(np.full(3, 0.1)), np.eye(4), aperture)
         return trace(Path((Step(surface, Interaction.REFRACT, AIR),)), *axis, 0.55)
@@ -122,7 +123,7 @@ def test_aperture_chooses_the_root_and_clips():
         np.testing.assert_allclose(result.origin, [0, 0, z], atol=1e-16)
 
 
-def test_surface_behind_the_ray_is_missed():
+def test_surface_behind_the_ray_is_missed() -> None:
     path = Path((Step(placed(Conic(0.0), np.eye(4)), Interaction.REFLECT, AIR),))
     traced = trace(path, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]), 0.55)
     assert traced.status == Status.MISS
@@ -130,7 +131,7 @@ def test_surface_behind_the_ray_is_missed():
 
 
 @pytest.mark.parametrize(("degrees", "total"), [(41.7, False), (41.9, True)])
-def test_critical_angle(degrees, total):
+def test_critical_angle(degrees: float, total: bool) -> None:
     """Glass of 1.5 against air: 41.81 degrees."""
     angle = np.deg2rad(degrees)
     start = np.array([0.0, 0.0, -1.0]), np.array([np.sin(angle), 0.0, np.cos(angle)])
@@ -145,7 +146,7 @@ def test_critical_angle(degrees, total):
     np.testing.assert_allclose(held.direction, start[1] * [1, 1, -1], atol=1e-15)
 
 
-def test_first_failure_is_kept_and_nan_never_passes_for_a_ray():
+def test_first_failure_is_kept_and_nan_never_passes_for_a_ray() -> None:
     missed = Step(placed(Ellipsoid(np.full(3, 0.1)), np.eye(4)), Interaction.REFRACT, GLASS)
     path = Path((missed, Step(placed(Conic(0.0), np.eye(4)), Interaction.REFRACT, AIR)))
     traced = trace(path, np.array([[5.0, 0, -1], [np.nan, 0, 0]]), np.array([0.0, 0.0, 1.0]), 0.55)
@@ -153,7 +154,7 @@ def test_first_failure_is_kept_and_nan_never_passes_for_a_ray():
     assert trace(Path(), np.array([np.nan, 0, 0]), np.array([0.0, 0.0, 1.0]), 0.55).status == Status.MISS
 
 
-def test_dispersion_turns_blue_more_than_red():
+def test_dispersion_turns_blue_more_than_red() -> None:
     pmma = Medium("pmma", ((1.1819, 0.011313),))
     path = Path((Step(placed(Conic(0.0), np.eye(4)), Interaction.REFRACT, pmma),))
     slanted = np.array([0.6, 0.0, 0.8])
@@ -162,7 +163,7 @@ def test_dispersion_turns_blue_more_than_red():
     assert blue < red
 
 
-def test_tilting_a_mirror_up_moves_the_spot_up_by_twice_the_angle():
+def test_tilting_a_mirror_up_moves_the_spot_up_by_twice_the_angle() -> None:
     """A mirror at z = -1 facing the eye; a negative turn about x tips its face from +z towards +y."""
     spots = []
     for angle in (0.0, -1e-3):

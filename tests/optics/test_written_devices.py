@@ -9,8 +9,9 @@ from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid, rotation_of_quaternion
 from wlr_render.io.atomic_files import shipped_names
 from wlr_render.mappings import Status
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.assembly import combiner_middle
-from wlr_render.optics.device import ClearAperture, Interaction, Path, PlacedSurface, Step, mirrored
+from wlr_render.optics.device import ClearAperture, Device, EyeOptics, Interaction, Path, PlacedSurface, Step, mirrored
 from wlr_render.optics.device_file import load_device, save_device
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.raised import FormError, Offset, raised
@@ -23,7 +24,7 @@ from wlr_render.optics.sag_surfaces import (
     Toroid,
     XYPolynomial,
 )
-from wlr_render.optics.surfaces import Conic, Ellipsoid
+from wlr_render.optics.surfaces import Conic, Ellipsoid, Shape
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 
 WAVELENGTH_UM = 0.6
@@ -33,11 +34,11 @@ SAME = 1e-14
 GLASS = Medium.constant("glass", 1.5)
 
 
-def saved(device, tmp_path):
+def saved(device: Device, tmp_path: Path) -> Device:
     return load_device(save_device(device, tmp_path / "saved.toml"))
 
 
-def sights(eye, count=300):
+def sights(eye: EyeOptics, count: int = 300) -> tuple[FloatArray, FloatArray]:
     """View directions and viewpoints all over the field and the eye box."""
     rng = np.random.default_rng(1)
     low, high = ([-0.3, -0.3], [0.3, 0.3]) if eye.field is None else (eye.field.low, eye.field.high)
@@ -45,7 +46,7 @@ def sights(eye, count=300):
     return dir_of_tangents(rng.uniform(low, high, (count, 2))), viewpoint
 
 
-def assert_same_light(eye, other):
+def assert_same_light(eye: EyeOptics, other: EyeOptics) -> None:
     view_dir, viewpoint = sights(eye)
     for mapping, query, tolerance in (
         (TracedDisplay, "pixel_of_view_dir", SAME_PX),
@@ -58,7 +59,7 @@ def assert_same_light(eye, other):
         np.testing.assert_allclose(found.value, expected.value, rtol=0, atol=tolerance)
 
 
-def assert_same_parts(eye, other):
+def assert_same_parts(eye: EyeOptics, other: EyeOptics) -> None:
     for path, read in ((eye.display, other.display), (eye.see_through, other.see_through)):
         assert [step.surface.name for step in read.steps] == [step.surface.name for step in path.steps]
         assert [step.interaction for step in read.steps] == [step.interaction for step in path.steps]
@@ -74,39 +75,40 @@ def assert_same_parts(eye, other):
     np.testing.assert_allclose(other.eye_box.size, eye.eye_box.size, rtol=1e-15)
     assert (other.field is None) == (eye.field is None)
     if eye.field is not None:
+        assert other.field is not None
         np.testing.assert_allclose([other.field.low, other.field.high], [eye.field.low, eye.field.high], rtol=1e-15)
 
 
-def assert_same(device, other):
+def assert_same(device: Device, other: Device) -> None:
     assert (other.name, other.source, list(other.eyes)) == (device.name, device.source, list(device.eyes))
     for side, eye in device.eyes.items():
         assert_same_parts(eye, other.eyes[side])
         assert_same_light(eye, other.eyes[side])
 
 
-def small_motion(seed, size=1e-3):
+def small_motion(seed: int, size: float = 1e-3) -> FloatArray:
     """A rotation by about `size` radians about a random axis, and a shift by about `size` metres."""
     rng = np.random.default_rng(seed)
     xyzw = np.append(0.5 * size * rng.normal(size=3), 1.0)
     return rigid(rotation_of_quaternion(xyzw / np.linalg.norm(xyzw)), size * rng.normal(size=3))
 
 
-def moved(eye, motion):
+def moved(eye: EyeOptics, motion: FloatArray) -> EyeOptics:
     return eye.with_surfaces(lambda s: replace(s, device_from_surface=motion @ s.device_from_surface))
 
 
-def moved_panel(eye, motion):
+def moved_panel(eye: EyeOptics, motion: FloatArray) -> EyeOptics:
     return replace(eye, panel=replace(eye.panel, device_from_panel=motion @ eye.panel.device_from_panel))
 
 
 @pytest.mark.parametrize("name", shipped_names("devices", ".toml"))
-def test_every_shipped_device_survives(tmp_path, name):
+def test_every_shipped_device_survives(tmp_path: Path, name: str) -> None:
     device = load_device(name)
     assert_same(device, saved(device, tmp_path))
 
 
 @pytest.mark.parametrize("name", shipped_names("devices", ".toml"))
-def test_every_shipped_device_survives_with_all_its_parts_moved(tmp_path, name):
+def test_every_shipped_device_survives_with_all_its_parts_moved(tmp_path: Path, name: str) -> None:
     """Each eye its own way, so that a left eye can no longer be written as the right one's mirror image."""
     device = load_device(name)
     eyes = {
@@ -117,7 +119,7 @@ def test_every_shipped_device_survives_with_all_its_parts_moved(tmp_path, name):
     assert_same(changed, saved(changed, tmp_path))
 
 
-def test_mirror_images_are_written_once(tmp_path):
+def test_mirror_images_are_written_once(tmp_path: Path) -> None:
     device = load_device("northstar")
     text = save_device(device, tmp_path / "saved.toml").read_text()
     assert text.count("[[eye]]") == 1
@@ -126,7 +128,7 @@ def test_mirror_images_are_written_once(tmp_path):
     assert text.count("[[eye]]") == 2
 
 
-def test_a_left_eye_alone_keeps_its_mirrored_surfaces(tmp_path):
+def test_a_left_eye_alone_keeps_its_mirrored_surfaces(tmp_path: Path) -> None:
     device = load_device("northstar")
     alone = replace(device, eyes={"left": device.eyes["left"]})
     assert_same(alone, saved(alone, tmp_path))
@@ -134,14 +136,14 @@ def test_a_left_eye_alone_keeps_its_mirrored_surfaces(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["northstar", "freeform40", "birdbath28"])
-def test_form_errors_of_surfaces_and_a_bowed_panel_survive_in_both_eyes(tmp_path, name):
+def test_form_errors_of_surfaces_and_a_bowed_panel_survive_in_both_eyes(tmp_path: Path, name: str) -> None:
     """Two errors of each surface, one of them askew, in an eye and in its mirror image."""
     device = load_device(name)
     eye = device.eyes["right"]
     middle = combiner_middle(eye)
     saddle = XYPolynomial(np.array([[0.0, 0.0, -0.02], [0.0, 0.0, 0.0], [0.02, 0.0, 0.0]]))
 
-    def deformed(surface):
+    def deformed(surface: PlacedSurface) -> PlacedSurface:
         places = [surface.surface_from_device @ rigid(np.eye(3), middle), small_motion(3, 0.1)]
         errors = zip((saddle, GaussianBump(1e-5, 4e-3)), places, strict=True)
         shape = surface.shape
@@ -169,7 +171,7 @@ def test_form_errors_of_surfaces_and_a_bowed_panel_survive_in_both_eyes(tmp_path
 
 
 @pytest.mark.parametrize("which", ["inner", "outer"])
-def test_an_offset_that_left_its_base_keeps_its_place(tmp_path, which):
+def test_an_offset_that_left_its_base_keeps_its_place(tmp_path: Path, which: str) -> None:
     device = load_device("northstar")
     motion = small_motion(3)
     eye = device.eyes["right"].with_surfaces(
@@ -182,14 +184,20 @@ def test_an_offset_that_left_its_base_keeps_its_place(tmp_path, which):
     assert_same(changed, saved(read, tmp_path))
 
 
-def device_of_plate(front, back, medium=GLASS):
+def device_of_plate(front: PlacedSurface, back: PlacedSurface, medium: Medium = GLASS) -> Device:
     """No optics to the panel, and an element of two surfaces before the world."""
     device = load_device("no_optics")
     steps = tuple(Step(s, Interaction.REFRACT, m) for s, m in zip((front, back), (medium, AIR), strict=True))
     return replace(device, eyes={"right": replace(device.eyes["right"], see_through=Path(steps))})
 
 
-def surface_at(name, shape, depth, low=(-0.05, -0.05, -np.inf), high=(0.05, 0.05, np.inf)):
+def surface_at(
+    name: str,
+    shape: Shape,
+    depth: float,
+    low: tuple[float, float, float] = (-0.05, -0.05, -np.inf),
+    high: tuple[float, float, float] = (0.05, 0.05, np.inf),
+) -> PlacedSurface:
     return PlacedSurface(
         name, shape, rigid(np.eye(3), np.array([0, 0, -depth])), ClearAperture(np.array(low), np.array(high))
     )
@@ -220,13 +228,13 @@ BACK = surface_at("back", Conic(0.0), 0.06)
         raised(Offset(raised(Toroid(-0.3, 0.2), BUMP), 1e-3), BUMP),
     ],
 )
-def test_every_shape_survives(tmp_path, shape):
+def test_every_shape_survives(tmp_path: Path, shape: Shape) -> None:
     """Offsets here have bases, and these bases of their own, that no path meets."""
     device = device_of_plate(surface_at("front", shape, 0.04), BACK)
     assert_same(device, saved(device, tmp_path))
 
 
-def test_a_whole_ellipsoid_and_open_apertures_survive(tmp_path):
+def test_a_whole_ellipsoid_and_open_apertures_survive(tmp_path: Path) -> None:
     """The far side of an ellipsoid, told from the near one by z, behind a plate without edges."""
     plate = surface_at("front", Conic(0.0), 0.01, low=(-np.inf,) * 3, high=(np.inf,) * 3)
     shell = surface_at(
@@ -236,13 +244,13 @@ def test_a_whole_ellipsoid_and_open_apertures_survive(tmp_path):
     assert_same(device, saved(device, tmp_path))
 
 
-def test_surface_and_base_names_do_not_collide(tmp_path):
+def test_surface_and_base_names_do_not_collide(tmp_path: Path) -> None:
     front = surface_at("front", Offset(Conic(5.0), 1e-3), 0.04)
     device = device_of_plate(front, replace(BACK, name="front_base"))
     assert_same(device, saved(device, tmp_path))
 
 
-def test_media_with_one_name_that_differ_between_the_eyes_are_distinguished(tmp_path):
+def test_media_with_one_name_that_differ_between_the_eyes_are_distinguished(tmp_path: Path) -> None:
     device = load_device("northstar")
     eyes = dict(device.eyes, left=device.eyes["left"].with_media(lambda medium: medium.shifted(0.004)))
     read = saved(replace(device, eyes=eyes), tmp_path)
@@ -263,7 +271,7 @@ def test_media_with_one_name_that_differ_between_the_eyes_are_distinguished(tmp_
         Medium.abbe("abbe", 1.62, 36.0),
     ],
 )
-def test_every_dispersion_survives(tmp_path, medium):
+def test_every_dispersion_survives(tmp_path: Path, medium: Medium) -> None:
     device = device_of_plate(surface_at("front", Conic(0.0), 0.04), BACK, medium)
     first = save_device(device, tmp_path / "first.toml")
     read = load_device(first).eyes["right"].see_through.steps[0].medium
@@ -273,7 +281,7 @@ def test_every_dispersion_survives(tmp_path, medium):
     assert save_device(load_device(first), tmp_path / "second.toml").read_text() == first.read_text()
 
 
-def test_saving_and_reading_settles(tmp_path):
+def test_saving_and_reading_settles(tmp_path: Path) -> None:
     """Once read, a device whose axes are unit vectors is written to the same text again."""
     device = load_device("freeform40")
     first = save_device(device, tmp_path / "first.toml")

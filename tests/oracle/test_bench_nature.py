@@ -1,28 +1,31 @@
 """Each imperfection of an ordinary bench is measured back from the tables."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from oracle.captures import CAMERA_CENTRE_PX, CAMERA_FOCAL_PX, TARGET_DISTANCES_MM, Plan
 from oracle.effects import Effect, draw_effect
 from oracle.nature import PERFECT, BenchNature, smooth_field
 from oracle.run_time import RunTimePlan, observe_run_time
-from oracle.session import observe
+from oracle.session import Session, observe
 
 PLAN = Plan(grid=(12, 9), dots=(9, 6), sigma_px=0.1)
 QUIET = replace(PLAN, sigma_px=0.0)
 
 
 @cache
-def ideal_tables(plan, seed):
+def ideal_tables(plan: Plan, seed: int) -> Session:
     """Of a perfect bench without noise."""
     return observe(replace(plan, sigma_px=0.0), [], np.random.default_rng(seed), PERFECT)
 
 
-def dots(nature, plan=QUIET, seed=1):
+def dots(nature: BenchNature, plan: Plan = QUIET, seed: int = 1) -> tuple[NDArray[Any], Any]:
     """Dot noise and motion, camera pixels: (captures, dots, 2), and the table of a perfect bench in that shape."""
     plan = replace(plan, grid=(2, 2), off_plane=0)  # what the display shows is not looked at
     seen = observe(plan, [], np.random.default_rng(seed), nature).seethrough
@@ -32,25 +35,25 @@ def dots(nature, plan=QUIET, seed=1):
     return gap.reshape(*shape, 2), ideal.reshape(shape)
 
 
-def display(nature, plan=PLAN, seed=1):
+def display(nature: BenchNature, plan: Plan = PLAN, seed: int = 1) -> NDArray[Any]:
     """Change of the decoded pixels by a nature, (captures, points, 2) panel pixels."""
     seen, ideal = observe(plan, [], np.random.default_rng(seed), nature).display, ideal_tables(QUIET, seed).display
     gap = np.stack([seen[c] - ideal[c] for c in ("pixel_u", "pixel_v")], axis=-1)
     return gap.reshape(-1, plan.grid[0] * plan.grid[1], 2)
 
 
-def sigma(values):
+def sigma(values: Sequence[Any]):
     """Root mean square; NaN where a point was not seen."""
     return np.sqrt(np.nanmean(np.square(values)))
 
 
-def moved_by(effect):
+def moved_by(effect: Effect):
     """By how many panel pixels an effect moves what the display table has, on average along u."""
     hidden, plain = (observe(QUIET, e, np.random.default_rng(1)).display["pixel_u"] for e in ([effect], []))
     return abs(np.nanmean(hidden - plain))
 
 
-def test_a_perfect_nature_changes_nothing_and_no_nature_changes_the_positions():
+def test_a_perfect_nature_changes_nothing_and_no_nature_changes_the_positions() -> None:
     perfect, plain, real = (
         observe(PLAN, [], np.random.default_rng(4), *nature)
         for nature in ((BenchNature(),), (), (BenchNature(0.01, 1e-5, noise_factor=2.0, shared=0.5),))
@@ -62,14 +65,14 @@ def test_a_perfect_nature_changes_nothing_and_no_nature_changes_the_positions():
             np.testing.assert_array_equal(getattr(real, name)[column], getattr(plain, name)[column])
 
 
-def test_effects_leave_the_nature_as_it_is():
+def test_effects_leave_the_nature_as_it_is() -> None:
     nature = BenchNature(0.02, 2e-5, noisy_share=0.3, noisy_factor=3.0)
     scaled = draw_effect("panel_scale", np.random.default_rng(1))
     clean, hidden = (observe(PLAN, e, np.random.default_rng(4), nature) for e in ([], [scaled]))
     np.testing.assert_array_equal(clean.seethrough["camera_u"], hidden.seethrough["camera_u"])
 
 
-def test_positions_repeat_to_the_stated_sigma_in_both_parts():
+def test_positions_repeat_to_the_stated_sigma_in_both_parts() -> None:
     gap, ideal = dots(BenchNature(repeatability_mm=0.05))
     # A camera that moves sideways by s sees a dot at distance d shifted by -f s / d.
     for pose, distance in enumerate(TARGET_DISTANCES_MM):
@@ -83,7 +86,7 @@ def test_positions_repeat_to_the_stated_sigma_in_both_parts():
     assert abs(np.corrcoef(by_capture[:-1, 0], by_capture[1:, 0])[0, 1]) < 0.4
 
 
-def test_the_camera_is_turned_anew_in_each_capture():
+def test_the_camera_is_turned_anew_in_each_capture() -> None:
     gap, ideal = dots(BenchNature(turns_rad=1e-3))
     uv = np.stack([ideal["camera_u"], ideal["camera_v"]], axis=-1) - CAMERA_CENTRE_PX
     rolls, yaws = [], []
@@ -100,7 +103,7 @@ def test_the_camera_is_turned_anew_in_each_capture():
     assert sigma(turned[:, 0]) == pytest.approx(known, rel=0.35)
 
 
-def test_a_target_stands_as_wrong_in_all_its_captures():
+def test_a_target_stands_as_wrong_in_all_its_captures() -> None:
     shift = [dots(BenchNature(target_mm=0.5), seed=seed) for seed in range(20)]
     size = []
     for gap, ideal in shift:
@@ -116,13 +119,13 @@ def test_a_target_stands_as_wrong_in_all_its_captures():
     assert edge > 3.0 * middle
 
 
-def test_noise_is_larger_by_its_factor():
+def test_noise_is_larger_by_its_factor() -> None:
     assert sigma(dots(BenchNature(noise_factor=1.1), PLAN)[0]) == pytest.approx(0.11, rel=0.02)
     ratio = sigma(display(BenchNature(noise_factor=1.1))) / sigma(display(PERFECT))
     assert ratio == pytest.approx(1.1, rel=0.01)
 
 
-def test_noise_rises_to_the_rim():
+def test_noise_rises_to_the_rim() -> None:
     gap, ideal = dots(BenchNature(rim_factor=2.0), PLAN)
     radius = np.hypot(ideal["camera_u"] - 640.0, ideal["camera_v"] - 512.0) / np.hypot(640.0, 512.0)
     for low, high in ((0.0, 0.3), (0.3, 0.6), (0.6, 0.9)):
@@ -139,7 +142,7 @@ def test_noise_rises_to_the_rim():
     np.testing.assert_allclose(found, 1.0 + radius[decoded] ** 2, rtol=0.02)
 
 
-def test_a_share_of_the_captures_is_noisier():
+def test_a_share_of_the_captures_is_noisier() -> None:
     for gap in (dots(BenchNature(noisy_share=1 / 3, noisy_factor=2.5), PLAN)[0],
                 dots(BenchNature(noisy_share=1 / 3, noisy_factor=2.5), PLAN, 2)[0]):  # fmt: skip
         by_capture = np.sqrt(np.nanmean(gap**2, axis=(1, 2)))
@@ -153,7 +156,7 @@ def test_a_share_of_the_captures_is_noisier():
     np.testing.assert_allclose(np.sort(by_capture), [1.0] * 32 + [2.5] * 16, rtol=0.02)
 
 
-def test_neighbours_share_noise_and_its_size_stays():
+def test_neighbours_share_noise_and_its_size_stays() -> None:
     gap, _ = dots(BenchNature(shared=0.5), PLAN)
     assert sigma(gap) == pytest.approx(0.1, rel=0.1)
     on_grid = gap.reshape(len(gap), 6, 9, 2)
@@ -171,7 +174,7 @@ def test_neighbours_share_noise_and_its_size_stays():
     assert abs(product[1]) < 0.05
 
 
-def test_each_colour_is_a_photograph_with_a_field_of_its_own():
+def test_each_colour_is_a_photograph_with_a_field_of_its_own() -> None:
     plan = replace(PLAN, channels=(0, 1))
     nature = BenchNature(shared=1.0)
     noise = observe(plan, [], np.random.default_rng(1), nature).display["pixel_u"]
@@ -182,14 +185,14 @@ def test_each_colour_is_a_photograph_with_a_field_of_its_own():
     assert abs(np.corrcoef(noise[seen].T)[0, 1]) < 0.2
 
 
-def test_a_smooth_field_is_normal():
+def test_a_smooth_field_is_normal() -> None:
     place = np.random.default_rng(0).uniform(0.0, 1000.0, (40, 2))
     values = smooth_field(np.tile(place, (500, 1)), np.repeat(np.arange(500), 40), 100.0, np.random.default_rng(1))
     assert np.mean(values**2) == pytest.approx(1.0, rel=0.03)
     assert np.mean(values**4) == pytest.approx(3.0, rel=0.08)
 
 
-def test_students_t_has_the_same_sigma_and_heavier_tails():
+def test_students_t_has_the_same_sigma_and_heavier_tails() -> None:
     nature = BenchNature(t_dof=5.0)
     gap = np.concatenate([dots(nature, PLAN, seed)[0].ravel() for seed in range(3)])
     gap = gap[np.isfinite(gap)]
@@ -198,7 +201,7 @@ def test_students_t_has_the_same_sigma_and_heavier_tails():
     assert np.quantile(np.abs(gap), 0.6827) < 0.093
 
 
-def test_run_time_noise_has_its_size_and_its_noisy_recordings():
+def test_run_time_noise_has_its_size_and_its_noisy_recordings() -> None:
     plan = RunTimePlan(recordings=12, moments=60, sigma_px=0.3)
     nature = BenchNature(0.05, 1e-3, noise_factor=1.1, noisy_share=0.25, noisy_factor=3.0, shared=0.5)
     quiet = observe_run_time(replace(plan, sigma_px=0.0), [], np.random.default_rng(2))

@@ -1,9 +1,11 @@
 """Each effect changes what it should, leaves alone what it should not, and has the size and sign it states."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from oracle.captures import CAMERA_CENTRE_PX, Plan
 from oracle.devices import own_device
@@ -19,7 +21,7 @@ from oracle.effects import (
     draw_outliers,
 )
 from oracle.own_tracer import turn
-from oracle.session import observe
+from oracle.session import Session, observe
 from oracle.world import World
 from wlr_render.errors import BadInputError
 
@@ -33,7 +35,7 @@ NORTH_STAR = ("substrate_index", "substrate_thickness")
 """Effects that North Star, whose combiner is met from inside, shows in the see-through part alone."""
 
 
-def see(plan, *effects):
+def see(plan: Plan, *effects: object) -> tuple[NDArray[Any], NDArray[Any], Session]:
     """Panel pixels (m, 2) of the display table and camera pixels (m, 2) of the other, and the session."""
     session = observe(plan, effects, np.random.default_rng(5))
     pixel = np.stack([session.display["pixel_u"], session.display["pixel_v"]], axis=-1)
@@ -41,7 +43,7 @@ def see(plan, *effects):
     return pixel, dots, session
 
 
-def change(plan, *effects):
+def change(plan: Plan, *effects: object) -> tuple[Any, Any, Any]:
     """By how much the effects move what is observed, where both benches observe it, else NaN."""
     pixel, dots, session = see(plan, *effects)
     clean_pixel, clean_dots, _ = see(plan)
@@ -54,7 +56,7 @@ def largest(moved):
 
 
 @pytest.mark.parametrize("name", [*LISTED, *UNLISTED])
-def test_it_is_seen_where_it_should_be_and_nowhere_else(name):
+def test_it_is_seen_where_it_should_be_and_nowhere_else(name: str) -> None:
     plan = replace(QUIET, channels=(0, 1, 2)) if name == "lateral_colour" else QUIET
     display, dots, _ = change(plan, draw_effect(name, np.random.default_rng(3)))
     see_through_only = name in (*SEE_THROUGH_ONLY, *NORTH_STAR)
@@ -67,7 +69,7 @@ def test_it_is_seen_where_it_should_be_and_nowhere_else(name):
 
 
 @pytest.mark.parametrize("name", LISTED)
-def test_strength_scales_the_size_and_leaves_the_settings(name):
+def test_strength_scales_the_size_and_leaves_the_settings(name: str) -> None:
     weak, strong = (draw_effect(name, np.random.default_rng(4), strength) for strength in (1.0, 3.0))
     assert strong.amount == pytest.approx(weak.scaled(3.0).amount)
     assert strong.amount != weak.amount
@@ -76,12 +78,12 @@ def test_strength_scales_the_size_and_leaves_the_settings(name):
 
 
 @pytest.mark.parametrize("name", LISTED)
-def test_no_size_is_no_effect(name):
+def test_no_size_is_no_effect(name: str) -> None:
     display, dots, _ = change(replace(QUIET, channels=(0, 1, 2)), draw_effect(name, np.random.default_rng(4), 0.0))
     assert max(largest(display), largest(dots)) < 1e-9
 
 
-def test_panel_effects_move_pixels_as_they_say():
+def test_panel_effects_move_pixels_as_they_say() -> None:
     panel = own_device("northstar").panel
     pixel, _, _ = see(QUIET)
     from_middle = pixel - 0.5 * panel.pixels
@@ -97,7 +99,7 @@ def test_panel_effects_move_pixels_as_they_say():
     assert largest(origin + 0.5) < 1e-9
 
 
-def test_the_panel_creeps_with_time():
+def test_the_panel_creeps_with_time() -> None:
     panel = own_device("northstar").panel
     moved, _, session = change(QUIET, Effect("thermal_drift", {"x_mm": 0.1, "y_mm": 0.0, "tau_s": 1000.0}))
     expected = -0.1 / panel.size_mm[0] * panel.pixels[0] * (1.0 - np.exp(-session.display["time_s"] / 1000.0))
@@ -105,7 +107,7 @@ def test_the_panel_creeps_with_time():
     assert largest(moved[:, 1]) == 0.0
 
 
-def test_red_and_blue_part_about_the_middle_and_green_stays():
+def test_red_and_blue_part_about_the_middle_and_green_stays() -> None:
     pixel, _, _ = see(replace(QUIET, channels=(0, 1, 2)))
     moved, _, session = change(replace(QUIET, channels=(0, 1, 2)), Effect("lateral_colour", {"scale_percent": 0.2}))
     away = (pixel - 0.5 * own_device("northstar").panel.pixels) * 0.002
@@ -114,7 +116,7 @@ def test_red_and_blue_part_about_the_middle_and_green_stays():
         assert largest(moved[rows] - sign * away[rows]) < 1e-9
 
 
-def test_tilting_the_combiner_turns_the_reflected_ray_by_twice_as_much():
+def test_tilting_the_combiner_turns_the_reflected_ray_by_twice_as_much() -> None:
     world = World(own_device("freeform40"))
     tilted = Effect("combiner_tilt", {**NO_TURN, "x_deg": 0.7}).applied(world).device
     ray = world.device.eye[None], np.array([[0.0, 0.0, 1.0]])
@@ -123,7 +125,7 @@ def test_tilting_the_combiner_turns_the_reflected_ray_by_twice_as_much():
     np.testing.assert_allclose(after[0], turn(np.radians([1.4, 0.0, 0.0])) @ before[0], atol=1e-12)
 
 
-def test_camera_effects_move_dots_as_they_say():
+def test_camera_effects_move_dots_as_they_say() -> None:
     _, dots, _ = see(QUIET)
     away = dots - CAMERA_CENTRE_PX
     _, longer, _ = change(QUIET, Effect("camera_focal_length", {"focal_percent": 0.3}))
@@ -134,7 +136,7 @@ def test_camera_effects_move_dots_as_they_say():
     assert largest(bent - 0.6 * away / 640.0 * np.sum((away / 640.0) ** 2, axis=-1, keepdims=True)) < 1e-9
 
 
-def test_the_display_sees_through_the_same_lens():
+def test_the_display_sees_through_the_same_lens() -> None:
     # A longer lens shows at its pixels what a normal one shows nearer to the centre.
     pixel, _, session = see(QUIET, Effect("camera_focal_length", {"focal_percent": 3.0}))
     device = own_device("northstar")
@@ -147,7 +149,7 @@ def test_the_display_sees_through_the_same_lens():
     np.testing.assert_allclose(pixel[row], expected[0], atol=1e-9)
 
 
-def test_targets_and_tracking_move_dots_as_they_say():
+def test_targets_and_tracking_move_dots_as_they_say() -> None:
     # To a few percent: the combiner itself bends rays little, and the targets are only slightly tilted.
     _, clean, session = see(FREEFORM)
     far = session.seethrough["target_pose"] == 2
@@ -165,7 +167,7 @@ def test_targets_and_tracking_move_dots_as_they_say():
         ) == pytest.approx(0.004, rel=0.05)
 
 
-def test_the_stage_errs_with_position_and_travel():
+def test_the_stage_errs_with_position_and_travel() -> None:
     reading = observe(QUIET, [], np.random.default_rng(5)).display
     backlash, _, _ = change(QUIET, Effect("stage_backlash", {"lost_mm": 0.2}))
     assert largest(backlash[reading["travel"] == 1]) == 0.0
@@ -176,7 +178,7 @@ def test_the_stage_errs_with_position_and_travel():
     assert largest(backlash[rows] - offset[rows]) < 1e-9
 
 
-def test_a_slip_comes_at_its_time():
+def test_a_slip_comes_at_its_time() -> None:
     moved, dots, session = change(QUIET, Effect("headset_slip", {**STILL, "x_mm": 0.5, "start_s": 1000.0}))
     late = session.display["time_s"] >= 1000.0
     assert largest(moved[~late]) == 0.0
@@ -184,7 +186,7 @@ def test_a_slip_comes_at_its_time():
     assert np.nanmin(np.abs(dots[:, 0])) > 0.0
 
 
-def test_an_outlier_is_one_capture():
+def test_an_outlier_is_one_capture() -> None:
     found = set()
     for seed in range(12):
         outlier = draw_outlier(QUIET, np.random.default_rng(seed))
@@ -200,7 +202,7 @@ def test_an_outlier_is_one_capture():
     assert found == {True, False}
 
 
-def test_several_captures_of_the_display_move_each_by_itself():
+def test_several_captures_of_the_display_move_each_by_itself() -> None:
     drawn = draw_outliers(QUIET, np.random.default_rng(2), 6)
     display, dots, session = change(QUIET, *drawn)
     moved = {int(capture) for capture in session.display["capture"][np.nan_to_num(np.abs(display[:, 0])) > 0]}
@@ -213,7 +215,7 @@ def test_several_captures_of_the_display_move_each_by_itself():
 
 
 @pytest.mark.parametrize("of_session", [False, True])
-def test_a_late_slip_leaves_so_many_captures(of_session):
+def test_a_late_slip_leaves_so_many_captures(of_session: bool) -> None:
     for seed in range(4):
         slip = draw_late_slip(QUIET, np.random.default_rng(seed), 2, of_session)
         display, dots, session = change(QUIET, slip)
@@ -230,7 +232,7 @@ def test_a_late_slip_leaves_so_many_captures(of_session):
             assert np.nanmin(np.abs(dots[:, 0])) > 0.0
 
 
-def test_two_effects_compose():
+def test_two_effects_compose() -> None:
     panel, target = Effect("panel_scale", {"scale_percent": 0.4}), Effect("target_scale", {"scale_percent": 0.3})
     both = change(QUIET, panel, target)
     np.testing.assert_array_equal(both[0], change(QUIET, panel)[0])
@@ -242,7 +244,7 @@ def test_two_effects_compose():
     np.testing.assert_allclose(twice, once, atol=1e-9)
 
 
-def test_sizes_are_typical_and_directions_random():
+def test_sizes_are_typical_and_directions_random() -> None:
     drawn = [draw_effect("camera_rotation", np.random.default_rng(seed)) for seed in range(200)]
     vectors = np.array([list(effect.amount.values()) for effect in drawn])
     sizes = np.linalg.norm(vectors, axis=-1)
@@ -251,7 +253,7 @@ def test_sizes_are_typical_and_directions_random():
     assert np.all(np.abs((vectors > 0).mean(axis=0) - 0.5) < 0.12)
 
 
-def test_an_unknown_effect_is_named():
+def test_an_unknown_effect_is_named() -> None:
     with pytest.raises(BadInputError, match=r"no effect 'combiner_tlt'.*combiner_tilt"):
         draw_effect("combiner_tlt", np.random.default_rng(0))
     with pytest.raises(BadInputError, match="draw_outlier"):

@@ -1,6 +1,7 @@
 """Run-time sessions with a hidden effect: closed forms, and the package's own simulation of the same glasses."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,27 +9,28 @@ import pytest
 from oracle.captures import CAMERA_CENTRE_PX, CAMERA_FOCAL_PX, CAMERA_SIZE_PX
 from oracle.devices import NAMES
 from oracle.effects import LISTED_AT_RUN_TIME, UNLISTED_AT_RUN_TIME, Effect, draw_effect
-from oracle.run_time import RunTimePlan, observe_run_time
+from oracle.run_time import RunTimePlan, RunTimeSession, observe_run_time
 from oracle.session_writer import write_run_time_session
 from wlr_render.bench.session_folder import load_session
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.diagnosis.prediction import Predictor
+from wlr_render.numerics.arrays import FloatArray
 
 QUIET = RunTimePlan(recordings=6, moments=20, sigma_px=0.0)
 
 
-def see(*effects, plan=QUIET):
+def see(*effects: object, plan: RunTimePlan = QUIET) -> RunTimeSession:
     return observe_run_time(plan, effects, np.random.default_rng(5))
 
 
-def gap(*effects, plan=QUIET):
+def gap(*effects: object, plan=QUIET) -> FloatArray:
     """By how much the virtual dot misses the real one, (n, 2) pixels, where both are seen."""
     session = see(*effects, plan=plan)
     return session.virtual - session.real
 
 
 @pytest.mark.parametrize("device", NAMES)
-def test_without_an_effect_the_virtual_dot_covers_the_real_one(device):
+def test_without_an_effect_the_virtual_dot_covers_the_real_one(device: str) -> None:
     session = see(plan=replace(QUIET, device=device))
     seen = np.isfinite(session.virtual[:, 0])
     assert seen.mean() > 0.4
@@ -36,13 +38,13 @@ def test_without_an_effect_the_virtual_dot_covers_the_real_one(device):
 
 
 @pytest.mark.parametrize("name", [*LISTED_AT_RUN_TIME, *UNLISTED_AT_RUN_TIME])
-def test_no_size_is_no_effect_and_a_size_is_one(name):
+def test_no_size_is_no_effect_and_a_size_is_one(name: str) -> None:
     assert np.nanmax(np.abs(gap(draw_effect(name, np.random.default_rng(4), 0.0)))) < 1e-6
     share = 0.5 if name in LISTED_AT_RUN_TIME else 0.9  # an unlisted effect may act on few of the dots
     assert np.nanquantile(np.abs(gap(draw_effect(name, np.random.default_rng(4), 3.0))), share) > 0.3
 
 
-def test_a_gaze_moves_the_pupil_as_a_bias_of_its_own():
+def test_a_gaze_moves_the_pupil_as_a_bias_of_its_own() -> None:
     gaze = see().motion.gaze
     moved = gap(Effect("gaze_pupil_shift", {"radius_mm": 8.0}))
     for row in np.flatnonzero(np.isfinite(moved[:, 0]))[:6]:
@@ -51,7 +53,7 @@ def test_a_gaze_moves_the_pupil_as_a_bias_of_its_own():
         np.testing.assert_allclose(moved[row], biased[row], rtol=0, atol=1e-6)
 
 
-def test_a_row_is_as_late_as_a_latency_of_its_own():
+def test_a_row_is_as_late_as_a_latency_of_its_own() -> None:
     scanned = gap(Effect("rolling_scanout", {"duration_ms": 12.0}))
     latency = [gap(Effect("latency", {"latency_ms": ms})) for ms in (0.0, 6.0, 12.0)]
     seen = np.isfinite(scanned).all(axis=1) & (np.linalg.norm(latency[2], axis=1) > 1.0)
@@ -63,7 +65,7 @@ def test_a_row_is_as_late_as_a_latency_of_its_own():
     np.testing.assert_allclose(half, 0.5, atol=0.02)
 
 
-def test_a_row_of_the_camera_is_as_late_as_a_latency_of_its_own():
+def test_a_row_of_the_camera_is_as_late_as_a_latency_of_its_own() -> None:
     duration_ms = 12.0
     rolled, clean = gap(Effect("camera_shutter", {"duration_ms": duration_ms})), see()
     latency = gap(Effect("latency", {"latency_ms": duration_ms}))
@@ -74,7 +76,7 @@ def test_a_row_of_the_camera_is_as_late_as_a_latency_of_its_own():
     np.testing.assert_allclose(share, row, atol=0.02)
 
 
-def test_a_band_of_rows_is_late_and_the_others_are_not():
+def test_a_band_of_rows_is_late_and_the_others_are_not() -> None:
     late = gap(Effect("band_delay", {"late_ms": 8.0, "row": 0.5, "width": 0.3}))
     whole = gap(Effect("latency", {"latency_ms": 8.0}))
     seen = np.isfinite(late).all(axis=1) & (np.linalg.norm(whole, axis=1) > 1.0)
@@ -83,7 +85,7 @@ def test_a_band_of_rows_is_late_and_the_others_are_not():
     assert 0.1 < is_late.mean() < 0.9
 
 
-def test_a_hinge_turns_the_picture_by_gravity_and_leaves_the_real_dot():
+def test_a_hinge_turns_the_picture_by_gravity_and_leaves_the_real_dot() -> None:
     before, after = see(), see(Effect("hinge_flex", {"x_deg": 0.2, "y_deg": 0.0, "z_deg": 0.0}))
     np.testing.assert_array_equal(after.real, before.real)
     along_sight = before.motion.axes[:, 1, 2]
@@ -94,7 +96,7 @@ def test_a_hinge_turns_the_picture_by_gravity_and_leaves_the_real_dot():
     assert np.ptp(expected[seen]) > 1.0
 
 
-def test_the_real_dot_moves_as_the_head_turns_and_the_virtual_one_stays():
+def test_the_real_dot_moves_as_the_head_turns_and_the_virtual_one_stays() -> None:
     """To first order, and to a few percent: a combiner bends rays little."""
     late_s = 2e-3
     before, after = see(), see(Effect("latency", {"latency_ms": 1e3 * late_s}))
@@ -113,7 +115,7 @@ def test_the_real_dot_moves_as_the_head_turns_and_the_virtual_one_stays():
 
 @pytest.mark.parametrize("device", NAMES)
 @pytest.mark.parametrize("name", [None, *LISTED_AT_RUN_TIME, *UNLISTED_AT_RUN_TIME])
-def test_the_package_reads_what_is_written_and_sees_the_effect(tmp_path, device, name):
+def test_the_package_reads_what_is_written_and_sees_the_effect(tmp_path: Path, device: str, name: str | None) -> None:
     effects = [draw_effect(name, np.random.default_rng(2), 4.0)] if name else []
     plan = RunTimePlan(device, recordings=6, moments=40, sigma_px=0.1)
     write_run_time_session(tmp_path, plan, effects, np.random.default_rng(1))

@@ -3,11 +3,15 @@
 import gzip
 import os
 import tomllib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from present import present
 
 from oracle.captures import Captures, Plan
 from oracle.devices import NAMES, own_device
@@ -17,6 +21,7 @@ from oracle.session import display_table, observe, see_through_table
 from oracle.session_writer import write_session
 from oracle.world import World
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
 
 SMALL = Plan(grid=(12, 9), dots=(9, 7))
 STAGE = ["stage_x_mm", "stage_y_mm", "stage_z_mm"]
@@ -25,15 +30,15 @@ _ROOT = Path(__file__).resolve().parents[2]
 CLEAN = Path(os.environ.get("WLR_DATA", _ROOT.parent / "shared")) / "measured" / "M3"
 
 
-def read(folder, name):
+def read(folder: Path, name: str) -> NDArray[Any]:
     return np.genfromtxt(folder / f"{name}.csv.gz", delimiter=",", names=True)
 
 
-def columns(table, names):
+def columns(table: NDArray[Any], names: Sequence[Any]) -> NDArray[Any]:
     return np.stack([table[name] for name in names], axis=-1)
 
 
-def test_the_same_seed_writes_the_same_files_and_another_does_not(tmp_path):
+def test_the_same_seed_writes_the_same_files_and_another_does_not(tmp_path: Path) -> None:
     effect = draw_effect("combiner_tilt", np.random.default_rng(9))
     for folder, seed in (("a", 1), ("b", 1), ("c", 2)):
         write_session(tmp_path / folder, SMALL, [effect], np.random.default_rng(seed))
@@ -47,7 +52,7 @@ def test_the_same_seed_writes_the_same_files_and_another_does_not(tmp_path):
 
 
 @pytest.mark.parametrize("device", NAMES)
-def test_plain_numpy_reads_a_session(tmp_path, device):
+def test_plain_numpy_reads_a_session(tmp_path: Path, device: str) -> None:
     plan = replace(SMALL, device=device)
     write_session(tmp_path, plan, [], np.random.default_rng(1))
     display, seethrough = read(tmp_path, "display"), read(tmp_path, "seethrough")
@@ -63,14 +68,14 @@ def test_plain_numpy_reads_a_session(tmp_path, device):
     np.testing.assert_allclose(spacing, bench["target_pose"][1]["pitch_mm"], atol=1e-3)
 
 
-def test_three_colours_are_three_rows_per_point(tmp_path):
+def test_three_colours_are_three_rows_per_point(tmp_path: Path) -> None:
     write_session(tmp_path, replace(SMALL, channels=(0, 1, 2)), [], np.random.default_rng(1))
     display = read(tmp_path, "display")
     np.testing.assert_array_equal(display["channel"][:6], [0, 1, 2, 0, 1, 2])
     assert len(np.unique(display["pixel_u"][:3])) == 3
 
 
-def test_effects_leave_the_stated_bench_and_the_positions_alone(tmp_path):
+def test_effects_leave_the_stated_bench_and_the_positions_alone(tmp_path: Path) -> None:
     for folder, effects in (("clean", []), ("moved", [draw_effect("stage_scale", np.random.default_rng(3))])):
         write_session(tmp_path / folder, SMALL, effects, np.random.default_rng(1))
     assert (tmp_path / "clean" / "bench.toml").read_text() == (tmp_path / "moved" / "bench.toml").read_text()
@@ -78,13 +83,13 @@ def test_effects_leave_the_stated_bench_and_the_positions_alone(tmp_path):
     np.testing.assert_array_equal(*stages)
 
 
-def test_noise_is_as_stated():
+def test_noise_is_as_stated() -> None:
     noisy, quiet = (observe(replace(SMALL, sigma_px=s), [], np.random.default_rng(1)) for s in (0.1, 0.0))
     gap = columns(noisy.seethrough, ["camera_u", "camera_v"]) - columns(quiet.seethrough, ["camera_u", "camera_v"])
     assert np.nanstd(gap) == pytest.approx(0.1, rel=0.05)
 
 
-def test_an_unknown_device_ends_in_a_sentence(tmp_path):
+def test_an_unknown_device_ends_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="no device 'quest'"):
         write_session(tmp_path, Plan(device="quest"), [], np.random.default_rng(0))
 
@@ -92,15 +97,15 @@ def test_an_unknown_device_ends_in_a_sentence(tmp_path):
 clean_data = pytest.mark.skipif(not CLEAN.is_dir(), reason="the measured sessions are not here (WLR_DATA)")
 
 
-def captures_of(table, pose):
+def captures_of(table: NDArray[Any], pose: NDArray[Any]) -> Captures:
     _, first = np.unique(np.stack([pose, table["capture"]], axis=-1), axis=0, return_index=True)
     rows = table[first]
-    travel = rows["travel"] if "travel" in table.dtype.names else np.ones(len(rows))
+    travel = rows["travel"] if "travel" in present(table.dtype.names) else np.ones(len(rows))
     return Captures(pose[first].astype(int), rows["capture"].astype(int), rows["time_s"], travel, columns(rows, STAGE))
 
 
 @clean_data
-def test_the_format_is_that_of_measured_sessions(tmp_path):
+def test_the_format_is_that_of_measured_sessions(tmp_path: Path) -> None:
     write_session(tmp_path, Plan(), [], np.random.default_rng(1))
     ours, theirs = (tomllib.loads((f / "bench.toml").read_text(encoding="utf-8")) for f in (tmp_path, CLEAN))
     assert ours == theirs
@@ -120,7 +125,7 @@ def test_the_format_is_that_of_measured_sessions(tmp_path):
 
 
 @clean_data
-def test_a_clean_measured_display_is_predicted_to_the_noise():
+def test_a_clean_measured_display_is_predicted_to_the_noise() -> None:
     measured, device = read(CLEAN, "display"), own_device("northstar")
     plan = Plan(sigma_px=0.0)
     captures = captures_of(measured, np.full(len(measured), -1))
@@ -129,7 +134,7 @@ def test_a_clean_measured_display_is_predicted_to_the_noise():
     rows = [place[(row["capture"], row["camera_u"], row["camera_v"])] for row in measured]
     left = columns(measured, ["pixel_u", "pixel_v"]) - columns(own[rows], ["pixel_u", "pixel_v"])
 
-    def pixel(uv):
+    def pixel(uv) -> FloatArray:
         tangents = (uv - [640.0, 512.0]) / 1350.0
         direction = unit(np.concatenate([tangents, np.ones((len(uv), 1))], axis=-1))
         return device.panel.pixel(*device.trace(device.display, columns(measured, STAGE), direction, 0.55))
@@ -143,7 +148,7 @@ def test_a_clean_measured_display_is_predicted_to_the_noise():
 
 
 @clean_data
-def test_a_clean_measured_see_through_is_predicted_to_the_noise():
+def test_a_clean_measured_see_through_is_predicted_to_the_noise() -> None:
     measured = read(CLEAN, "seethrough")
     captures = captures_of(measured, measured["target_pose"])
     own = see_through_table(World(own_device("northstar")), Plan(sigma_px=0.0), captures, np.random.default_rng(0))
@@ -152,7 +157,7 @@ def test_a_clean_measured_see_through_is_predicted_to_the_noise():
     assert_is_noise(columns(measured, ["camera_u", "camera_v"]) - columns(own, ["camera_u", "camera_v"]))
 
 
-def assert_is_noise(residual):
+def assert_is_noise(residual: NDArray[Any]) -> None:
     """Normal with 0.1 px per axis; the limits are four standard errors wide."""
     count = len(residual)
     np.testing.assert_allclose(residual.mean(axis=0), 0.0, atol=4 * 0.1 / np.sqrt(count))

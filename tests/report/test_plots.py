@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from browser import needs_browser, open_page
@@ -7,7 +9,7 @@ from wlr_render.report.plots import MAX_CELLS, arrow_map, bars, block_maxima, cu
 from wlr_render.report.save import save_report
 
 
-def test_a_large_map_keeps_its_worst_pixels_and_says_that_it_is_reduced():
+def test_a_large_map_keeps_its_worst_pixels_and_says_that_it_is_reduced() -> None:
     values = np.zeros((3 * MAX_CELLS, 2 * MAX_CELLS + 1))
     values[100, 2 * MAX_CELLS] = 7.0
     values[30:33, 30:33] = np.nan
@@ -21,7 +23,7 @@ def test_a_large_map_keeps_its_worst_pixels_and_says_that_it_is_reduced():
     assert plot.caption == "On the panel. Each cell shows the maximum of 3 x 3 pixels."
 
 
-def test_logarithmic_colours_have_marks_at_decades():
+def test_logarithmic_colours_have_marks_at_decades() -> None:
     plot = heat_map("Error", np.array([[0.01, 1.0], [0.0, np.nan]]), "px", limits=(2e-3, 10.0), log=True)
     trace = plot.data[0]
     np.testing.assert_allclose(trace["z"], [[-2, 0], [-12, np.nan]])
@@ -30,7 +32,7 @@ def test_logarithmic_colours_have_marks_at_decades():
     assert trace["zmin"] == pytest.approx(np.log10(2e-3))
 
 
-def test_grouped_curves_share_colours_by_group_and_dashes_by_kind():
+def test_grouped_curves_share_colours_by_group_and_dashes_by_kind() -> None:
     points = ([1, 2], [3.0, 4.0])
     plot = curves("Error", dict.fromkeys(("a, x", "a, y", "b, x"), points), ("N", "rms"), grouped=True)
     (ax, ay, bx) = (trace["line"] for trace in plot.data)
@@ -38,7 +40,7 @@ def test_grouped_curves_share_colours_by_group_and_dashes_by_kind():
     assert ax["dash"] == bx["dash"] != ay["dash"]
 
 
-def test_predicted_values_are_dashed_in_the_colour_of_their_curve():
+def test_predicted_values_are_dashed_in_the_colour_of_their_curve() -> None:
     lines = {"a": ([1, 2], [3.0, 4.0]), "b": ([1, 2], [5.0, 6.0])}
     a, b, a_predicted, b_predicted = curves("E", lines, ("N", "rms"), predicted={"a": ([1], [7]), "b": ([1], [8])}).data
     assert a["line"]["color"] == a_predicted["line"]["color"] != b["line"]["color"]
@@ -46,11 +48,11 @@ def test_predicted_values_are_dashed_in_the_colour_of_their_curve():
     assert (b_predicted["name"], list(b_predicted["y"])) == ("b, predicted", [8])
 
 
-def test_blocks_at_the_border_have_the_remaining_pixels():
+def test_blocks_at_the_border_have_the_remaining_pixels() -> None:
     np.testing.assert_array_equal(block_maxima(np.arange(15.0).reshape(3, 5), 2), [[6, 8, 9], [11, 13, 14]])
 
 
-def test_arrow_maps_have_one_scale_for_all_groups_and_a_reference_arrow():
+def test_arrow_maps_have_one_scale_for_all_groups_and_a_reference_arrow() -> None:
     place = np.array([[0.0, 0.0], [100.0, 50.0], [20.0, 10.0]])
     small, large = np.array([[0.0, 1.0], [0.0, 1.0], [np.nan, 0.0]]), np.array([[4.0, 0.0], [0.0, 4.0], [0.0, 0.0]])
     plot = arrow_map(
@@ -69,7 +71,7 @@ def test_arrow_maps_have_one_scale_for_all_groups_and_a_reference_arrow():
     assert shown == [[True, True, False, False, True], [False, False, True, True, True]]
 
 
-def test_panels_of_an_arrow_map_share_axes_and_menu():
+def test_panels_of_an_arrow_map_share_axes_and_menu() -> None:
     place = np.array([[0.0, 0.0], [100.0, 50.0]])
     groups = {name: (place, size * np.ones((2, 2)), np.ones((2, 2))) for name, size in (("a", 4.0), ("b", 2.0))}
     plot = arrow_map("Residual", groups, "px", ("u", "v"), panels=("before", "after"))
@@ -82,7 +84,7 @@ def test_panels_of_an_arrow_map_share_axes_and_menu():
 
 
 @needs_browser
-def test_plots_of_every_kind_open_in_a_browser(tmp_path):
+def test_plots_of_every_kind_open_in_a_browser(tmp_path: Path) -> None:
     place = np.random.default_rng(1).uniform(0, 100, (30, 2))
     arrows = {name: (place, np.ones((30, 2))) for name in "ab"}
     plots = [
@@ -96,7 +98,7 @@ def test_plots_of_every_kind_open_in_a_browser(tmp_path):
     assert (page.console, page.plots) == ([], 5)
 
 
-def test_small_heat_maps_share_one_logarithmic_scale():
+def test_small_heat_maps_share_one_logarithmic_scale() -> None:
     maps = {"large": np.array([[1.0, 10.0], [np.nan, 0.0]]), "small": np.full((2, 2), 1e-6)}
     plot = small_heat_maps("Sources", maps, "arcmin", columns=2)
     assert [trace["coloraxis"] for trace in plot.data] == ["coloraxis", "coloraxis"]

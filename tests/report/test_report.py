@@ -5,7 +5,9 @@ import enum
 import hashlib
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ CURVE = Plot(
 
 
 @pytest.fixture
-def saved(tmp_path):
+def saved(tmp_path: Path) -> Report:
     picture = write_png(tmp_path / "dots.png", np.full((4, 5, 3), 77, np.uint8)) or tmp_path / "dots.png"
     source = tmp_path / "input.toml"
     source.write_text("a = 1\n")
@@ -43,12 +45,12 @@ def saved(tmp_path):
     return save_report(report, tmp_path / "out", "report")
 
 
-def test_three_files_are_written_and_named(saved, tmp_path):
+def test_three_files_are_written_and_named(saved: Report, tmp_path: Path) -> None:
     assert [path.name for path in saved.files] == ["report.html", "report.md", "report.json"]
     assert all(path.is_file() for path in saved.files)
 
 
-def test_json_holds_the_record_full_precision_and_provenance(saved, tmp_path):
+def test_json_holds_the_record_full_precision_and_provenance(saved: Report, tmp_path: Path) -> None:
     record = json.loads(saved.files[2].read_text())
     assert record["sigma"] == 0.5
     assert record["tables"][0]["rows"][0] == {"name": "a", "error (arcmin)": 0.24321}
@@ -59,7 +61,7 @@ def test_json_holds_the_record_full_precision_and_provenance(saved, tmp_path):
     assert origin["inputs"][0]["sha256"] == hashlib.sha256(b"a = 1\n").hexdigest()
 
 
-def test_a_changed_file_in_a_folder_changes_its_hash(tmp_path):
+def test_a_changed_file_in_a_folder_changes_its_hash(tmp_path: Path) -> None:
     folder = tmp_path / "session"
     folder.mkdir()
     hashes = []
@@ -70,27 +72,27 @@ def test_a_changed_file_in_a_folder_changes_its_hash(tmp_path):
     assert hashes[0] != hashes[1]
 
 
-def input_hash(out, inputs):
+def input_hash(out: Path, inputs: Sequence[Any]):
     report = save_report(Report("T", inputs=inputs), out, "report")
     return json.loads(report.files[2].read_text())["provenance"]["inputs"][0]["sha256"]
 
 
-def test_a_report_inside_its_input_does_not_change_the_hash(tmp_path):
+def test_a_report_inside_its_input_does_not_change_the_hash(tmp_path: Path) -> None:
     (tmp_path / "session").mkdir()
     (tmp_path / "session" / "a").write_text("1")
     inside = tmp_path / "session" / "out"
     assert input_hash(inside, [tmp_path / "session"]) == input_hash(inside, [tmp_path / "session"])
 
 
-def test_an_input_that_is_gone_loses_no_report(tmp_path):
+def test_an_input_that_is_gone_loses_no_report(tmp_path: Path) -> None:
     assert input_hash(tmp_path, [tmp_path / "gone"]) == "not readable (No such file or directory)"
 
 
-def test_a_cell_of_several_lines_stays_in_its_row():
+def test_a_cell_of_several_lines_stays_in_its_row() -> None:
     assert "| a b |" in markdown_table(ReportTable("T", ["n"], [["a\nb"]]))
 
 
-def test_markdown_links_pictures_and_escapes_bars(saved):
+def test_markdown_links_pictures_and_escapes_bars(saved: Report) -> None:
     text = saved.files[1].read_text()
     assert "](../dots.png)" in text
     assert "| b\\|\\<i> | - |" in text
@@ -100,7 +102,7 @@ def test_markdown_links_pictures_and_escapes_bars(saved):
 HOSTILE = "a</script><img src=x>|[b](javascript:c)\x1b\u202e`<i>\udc80$\\frac$"
 
 
-def test_text_of_files_forges_no_markup_anywhere(tmp_path):
+def test_text_of_files_forges_no_markup_anywhere(tmp_path: Path) -> None:
     picture = write_png(tmp_path / "a (b).png", np.full((4, 5, 3), 77, np.uint8)) or tmp_path / "a (b).png"
     blocks = [
         Section(HOSTILE),
@@ -122,7 +124,7 @@ def test_text_of_files_forges_no_markup_anywhere(tmp_path):
     assert json.loads(record)["title"] == HOSTILE
 
 
-def test_a_picture_may_lead_to_a_page_beside_the_report(tmp_path):
+def test_a_picture_may_lead_to_a_page_beside_the_report(tmp_path: Path) -> None:
     picture = write_png(tmp_path / "a.png", np.full((4, 5, 3), 77, np.uint8)) or tmp_path / "a.png"
     blocks = [Picture("P", picture, link="run 1/report.html"), Picture("Q", picture, link='javascript:"<')]
     page, text, _ = (path.read_text() for path in save_report(Report("T", blocks=blocks), tmp_path, "report").files)
@@ -131,7 +133,7 @@ def test_a_picture_may_lead_to_a_page_beside_the_report(tmp_path):
     assert "[![Q](a.png)](javascript%3A%22%3C)" in text
 
 
-def test_words_of_a_figure_are_no_formula(tmp_path):
+def test_words_of_a_figure_are_no_formula(tmp_path: Path) -> None:
     figure = Figure()
     axes = figure.subplots()
     axes.set(title=HOSTILE, xlabel=HOSTILE, yscale="log")
@@ -142,26 +144,26 @@ def test_words_of_a_figure_are_no_formula(tmp_path):
     assert axes.yaxis.get_ticklabels()[1].get_parse_math()
 
 
-def test_the_page_escapes_text_of_files(saved):
+def test_the_page_escapes_text_of_files(saved: Report) -> None:
     page = saved.files[0].read_text()
     assert "<title>Report of &lt;session&gt; &amp; co</title>" in page
     assert "b|&lt;i&gt;" in page
     assert "b|<i>" not in page.split("application/json")[0]
 
 
-def test_long_tables_are_folded(tmp_path):
+def test_long_tables_are_folded(tmp_path: Path) -> None:
     tables = [ReportTable(f"Table of {count}", ["n"], [[n] for n in range(count)]) for count in (20, 21)]
     page = save_report(Report("T", blocks=tables), tmp_path, "report").files[0].read_text()
     assert page.count("<details>") == page.count("</details>") == 1
     assert page.index("Table of 21") < page.index("<details><summary>21 rows</summary>")
 
 
-def test_a_page_without_plots_carries_no_script(tmp_path):
+def test_a_page_without_plots_carries_no_script(tmp_path: Path) -> None:
     page = save_report(Report("T", blocks=[TABLE]), tmp_path, "report").files[0]
     assert "<script" not in page.read_text()
 
 
-def test_cells_have_three_digits():
+def test_cells_have_three_digits() -> None:
     text = markdown_table(TABLE)
     assert "| a | 0.243 |" in text
     assert "| c | 3.0e-06 |" in text
@@ -178,14 +180,14 @@ class Inner:
     hidden: object = dataclasses.field(default=object(), metadata={"json": False})
 
 
-def test_records_become_json_by_their_fields():
+def test_records_become_json_by_their_fields() -> None:
     record = to_jsonable([Inner(Path("a/b"), Verdict.GOOD), (np.inf, np.bool_(True), np.int8(3)), {1: None}])
     assert record == [{"path": "a/b", "verdict": "good"}, [None, True, 3], {"1": None}]
     with pytest.raises(TypeError, match="object"):
         to_jsonable(object())
 
 
-def test_numbers_of_a_list_share_a_line():
+def test_numbers_of_a_list_share_a_line() -> None:
     value = {"x": [1.0, 2.5], "y": [], "z": [{"a": ["[ b\n  c", "]"]}], "w": [[1, 2], [3, 4]]}
     text = json_text(value)
     assert json.loads(text) == value
@@ -204,11 +206,11 @@ def test_numbers_of_a_list_share_a_line():
         (1290.0, 0.0, 2, "1290"),
     ],
 )
-def test_a_value_is_rounded_by_its_error(value, error, digits, text):
+def test_a_value_is_rounded_by_its_error(value: float, error: float, digits: int, text: str) -> None:
     assert quantity(value, error, digits) == text
 
 
-def test_a_table_of_records_has_a_row_each(saved):
+def test_a_table_of_records_has_a_row_each(saved: Report) -> None:
     made = table("Files", saved.files, {"name": "name", "stem is": lambda path: path.stem.upper()}, ["A note."])
     assert made == ReportTable(
         "Files", ("name", "stem is"), [[path.name, "REPORT"] for path in saved.files], ["A note."]
@@ -216,7 +218,7 @@ def test_a_table_of_records_has_a_row_each(saved):
 
 
 @needs_browser
-def test_the_page_opens_in_a_browser_with_every_figure(saved, tmp_path):
+def test_the_page_opens_in_a_browser_with_every_figure(saved: Report, tmp_path: Path) -> None:
     page = open_page(saved.files[0], tmp_path)
     assert page.console == []
     assert page.plots == 1
@@ -225,13 +227,13 @@ def test_the_page_opens_in_a_browser_with_every_figure(saved, tmp_path):
 
 
 @needs_browser
-def test_the_browser_reports_a_broken_page(tmp_path):
+def test_the_browser_reports_a_broken_page(tmp_path: Path) -> None:
     path = tmp_path / "broken.html"
     path.write_text("<!doctype html><body><script>nothingOfThatName()</script></body>")
     assert any("nothingOfThatName" in line for line in open_page(path, tmp_path).console)
 
 
-def test_columns_of_one_name_are_all_in_the_json_file(tmp_path):
+def test_columns_of_one_name_are_all_in_the_json_file(tmp_path: Path) -> None:
     table = ReportTable("twice", ("a", "interval", "interval (2)", "interval"), [[1, "2 to 3", 4, "5 to 6"]])
     saved = save_report(Report("Twice", blocks=[table]), tmp_path)
     (rows,) = json.loads(saved.files[2].read_text())["tables"]
@@ -247,7 +249,9 @@ def test_columns_of_one_name_are_all_in_the_json_file(tmp_path):
         ([""], "Python, without a command line"),
     ],
 )
-def test_a_report_states_the_command_line_where_there_is_one(arguments, command, tmp_path, monkeypatch):
+def test_a_report_states_the_command_line_where_there_is_one(
+    arguments: Sequence[str], command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("sys.argv", arguments)
     saved = save_report(Report("Any"), tmp_path)
     assert json.loads(saved.files[2].read_text())["provenance"]["command"] == command

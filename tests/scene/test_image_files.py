@@ -1,29 +1,34 @@
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
 from browser import needs_browser, open_page
+from present import present
 
 from wlr_render.errors import BadInputError
 from wlr_render.scene import image_files
 
 
-def test_png_keeps_red_red(tmp_path):
+def test_png_keeps_red_red(tmp_path: Path) -> None:
     image = np.zeros((4, 6, 3), np.uint8)
     image[0, 0] = [200, 100, 50]
     path = image_files.write_png(tmp_path / "a.png", image)
     np.testing.assert_array_equal(image_files.read_png(path), image)
-    assert cv2.imread(str(path))[0, 0].tolist() == [50, 100, 200]
+    assert present(cv2.imread(str(path)))[0, 0].tolist() == [50, 100, 200]
 
 
 @pytest.mark.parametrize("suffix", [".tiff", ".pfm"])
-def test_float_maps_round_trip_bit_for_bit_with_their_holes(tmp_path, suffix):
+def test_float_maps_round_trip_bit_for_bit_with_their_holes(tmp_path: Path, suffix: str) -> None:
     values = np.random.default_rng(0).normal(size=(7, 5, 3)).astype(np.float32)
     values[2, 3] = np.nan
     path = image_files.write_map(tmp_path / f"map{suffix}", values)
     np.testing.assert_array_equal(image_files.read_map(path), values)
 
 
-def test_pfm_follows_its_format(tmp_path):
+def test_pfm_follows_its_format(tmp_path: Path) -> None:
     values = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
     head, size, scale, *rest = image_files.write_map(tmp_path / "m.pfm", values).read_bytes().split(b"\n", 3)
     assert (head, size) == (b"PF", b"2 2")
@@ -31,7 +36,7 @@ def test_pfm_follows_its_format(tmp_path):
     np.testing.assert_array_equal(np.frombuffer(rest[0], order).reshape(2, 2, 3)[::-1], values)
 
 
-def test_video_has_its_frames(tmp_path):
+def test_video_has_its_frames(tmp_path: Path) -> None:
     frames = [np.full((32, 48, 3), 40 * k, np.uint8) for k in range(5)]
     path = image_files.write_video(tmp_path / "v.mp4", frames, 30.0)
     video = cv2.VideoCapture(str(path))
@@ -42,7 +47,7 @@ def test_video_has_its_frames(tmp_path):
 
 
 @needs_browser
-def test_a_browser_plays_the_video(tmp_path):
+def test_a_browser_plays_the_video(tmp_path: Path) -> None:
     image_files.write_video(tmp_path / "v.mp4", [np.full((32, 48, 3), 40 * k, np.uint8) for k in range(5)], 10.0)
     page = tmp_path / "page.html"
     page.write_text(
@@ -71,13 +76,13 @@ def test_a_browser_plays_the_video(tmp_path):
         (lambda path: image_files.write_video(path, [np.zeros((32, 48, 3))], 9.0), "a.mp4"),
     ],
 )
-def test_what_opencv_would_convert_or_crash_on_is_refused(tmp_path, write, name):
+def test_what_opencv_would_convert_or_crash_on_is_refused(tmp_path: Path, write: Callable[..., Any], name: str) -> None:
     with pytest.raises(BadInputError, match=name):
         write(tmp_path / name)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_map_of_one_channel_is_no_map(tmp_path):
+def test_a_map_of_one_channel_is_no_map(tmp_path: Path) -> None:
     path = tmp_path / "m.tiff"
     cv2.imwrite(str(path), np.ones((3, 4), np.float32))
     with pytest.raises(BadInputError, match=r"m\.tiff: is not a float map of three channels"):
@@ -85,14 +90,14 @@ def test_a_map_of_one_channel_is_no_map(tmp_path):
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 16), (16, 1)])
-def test_a_video_of_one_row_of_pixels_is_refused_for_its_size(tmp_path, height, width):
+def test_a_video_of_one_row_of_pixels_is_refused_for_its_size(tmp_path: Path, height: int, width: int) -> None:
     sentence = rf"v\.mp4: a video of {width} x {height} pixels cannot be encoded, for VP9 needs 2 or more each way"
     with pytest.raises(BadInputError, match=sentence):
         image_files.write_video(tmp_path / "v.mp4", [np.zeros((height, width, 3), np.uint8)], 30.0)
     assert image_files.write_video(tmp_path / "w.mp4", [np.zeros((3, 2, 3), np.uint8)], 30.0).is_file()
 
 
-def test_faults_name_the_file(tmp_path):
+def test_faults_name_the_file(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="no frames"):
         image_files.write_video(tmp_path / "v.mp4", [], 30.0)
     with pytest.raises(BadInputError, match=r"m\.exr.*tiff or \.pfm"):

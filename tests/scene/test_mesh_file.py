@@ -3,17 +3,23 @@ import json
 import re
 import struct
 import zlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from glb_writer import save_glb
+from numpy import integer, number
+from numpy.typing import NDArray
+from present import present
 
 from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import InputLimits, outside_references
+from wlr_render.numerics.arrays import IntArray
 from wlr_render.scene import gltf_document
-from wlr_render.scene.mesh_file import load_meshes
+from wlr_render.scene.mesh_file import MeshFile, load_meshes
 from wlr_render.scene.scene import Instance, LightSource, Mesh, Scene, world_positions
 from wlr_render.scene.shapes import construction, objects
 from wlr_render.scene.shapes.construction import turn
@@ -22,19 +28,28 @@ CORNERS = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]], np.ui
 """Red and green above, blue and yellow below."""
 
 
-def png(image):
+def png(image: NDArray[np.uint8]) -> bytes:
     """A PNG by hand, so that the reader is not tested against itself."""
     height, width = image.shape[:2]
     rows = b"".join(b"\0" + row.tobytes() for row in image)
 
-    def chunk(kind, content):
+    def chunk(kind: bytes, content: bytes) -> bytes:
         return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
 
 
-def gltf(folder: Path, positions=((0, 0, 0), (1, 0, 0), (0, 1, 0)), indices=(0, 1, 2), **changes) -> Path:
+def gltf(
+    folder: Path,
+    positions: tuple[tuple[int, int, int], tuple[int, int, int], tuple[int, int, int]] = (
+        (0, 0, 0),
+        (1, 0, 0),
+        (0, 1, 0),
+    ),
+    indices: tuple[int, int, int] = (0, 1, 2),
+    **changes: Any,
+) -> Path:
     """One triangle as glTF; uv (0, 0), (1, 0), (0, 1); `changes` replace or add top-level keys."""
     uv = np.array([[0, 0], [1, 0], [0, 1]], np.float32).tobytes()
     blob = np.array(positions, np.float32).tobytes() + np.array(indices, np.uint32).tobytes() + uv
@@ -66,7 +81,12 @@ def gltf(folder: Path, positions=((0, 0, 0), (1, 0, 0), (0, 1, 0)), indices=(0, 
     return path
 
 
-def obj(folder: Path, faces="f 1/1 2/2 3/3\n", mtl="newmtl m\nKd 0.5 0.25 1\nmap_Kd t.png\n", texture=True) -> Path:
+def obj(
+    folder: Path,
+    faces: str = "f 1/1 2/2 3/3\n",
+    mtl: str = "newmtl m\nKd 0.5 0.25 1\nmap_Kd t.png\n",
+    texture: bool = True,
+) -> Path:
     path = folder / "wedge.obj"
     vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
     path.write_text("mtllib wedge.mtl\n" + vertices + "usemtl m\n" + faces)
@@ -77,7 +97,11 @@ def obj(folder: Path, faces="f 1/1 2/2 3/3\n", mtl="newmtl m\nKd 0.5 0.25 1\nmap
     return path
 
 
-def ply(folder: Path, vertices=("0 0 0 255 188 0", "1 0 0 0 0 0", "0 1 0 0 0 0"), face="0 1 2") -> Path:
+def ply(
+    folder: Path,
+    vertices: tuple[str, str, str] = ("0 0 0 255 188 0", "1 0 0 0 0 0", "0 1 0 0 0 0"),
+    face: str = "0 1 2",
+) -> Path:
     header = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(f"property float {a}\n" for a in "xyz")
     header += "".join(f"property uchar {a}\n" for a in ("red", "green", "blue"))
     header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
@@ -86,16 +110,17 @@ def ply(folder: Path, vertices=("0 0 0 255 188 0", "1 0 0 0 0 0", "0 1 0 0 0 0")
     return path
 
 
-def nearest_texel(mesh: Mesh, vertex_position) -> list[int]:
+def nearest_texel(mesh: Mesh, vertex_position: Sequence[Any]) -> list[int]:
     """The texel at the vertex nearest to a position, uv pulled a little inwards."""
     vertex = np.argmin(np.linalg.norm(mesh.position - vertex_position, axis=1))
+    assert mesh.texture is not None
     height, width = mesh.texture.shape[:2]
-    u, v = np.clip(mesh.uv[vertex], 0.01, 0.99)
+    u, v = np.clip(present(mesh.uv)[vertex], 0.01, 0.99)
     return mesh.texture[int(v * height), int(u * width)].tolist()
 
 
 @pytest.fixture
-def scene():
+def scene() -> Scene:
     board = replace(construction.plane(0.4, 0.3, colour=(0.2, 0.4, 0.6)), name="board", texture=CORNERS)
     matrix = np.eye(4)
     matrix[:3, :3] = turn(0.3, 0.5, -0.2) * [1.0, 2.0, 0.5]
@@ -114,11 +139,11 @@ def scene():
 
 
 @pytest.fixture
-def loaded(scene, tmp_path):
+def loaded(scene: Scene, tmp_path: Path) -> MeshFile:
     return load_meshes(save_glb(scene, tmp_path / "scene.glb"))
 
 
-def test_glb_keeps_meshes_once_and_places_them_where_they_were(scene, loaded):
+def test_glb_keeps_meshes_once_and_places_them_where_they_were(scene: Scene, loaded: MeshFile) -> None:
     assert len(loaded.meshes) == 2
     assert len(loaded.instances) == 3
     by_name = {instance.name.split(" ", 1)[1]: instance for instance in loaded.instances}
@@ -131,16 +156,16 @@ def test_glb_keeps_meshes_once_and_places_them_where_they_were(scene, loaded):
         np.testing.assert_allclose(mesh.normal, before.normal, atol=1e-6)
 
 
-def test_glb_keeps_colours_and_textures(scene, loaded):
+def test_glb_keeps_colours_and_textures(scene: Scene, loaded: MeshFile) -> None:
     board, mug = (next(m for m in loaded.meshes if name in m.name) for name in ("board", "mug"))
     np.testing.assert_array_equal(board.texture, CORNERS)
-    np.testing.assert_allclose(board.uv, scene.meshes[0].uv, atol=1e-6)
+    np.testing.assert_allclose(present(board.uv), present(scene.meshes[0].uv), atol=1e-6)
     np.testing.assert_allclose(board.base_colour, [0.2, 0.4, 0.6], atol=0.5 / 255)
-    np.testing.assert_allclose(mug.vertex_colour, scene.meshes[1].vertex_colour, atol=0.51 / 255)
+    np.testing.assert_allclose(present(mug.vertex_colour), present(scene.meshes[1].vertex_colour), atol=0.51 / 255)
     assert mug.texture is None
 
 
-def test_glb_keeps_lights(scene, loaded):
+def test_glb_keeps_lights(scene: Scene, loaded: MeshFile) -> None:
     lights = {light.kind: light for light in loaded.lights}
     assert len(loaded.lights) == 2
     for light in scene.lights:
@@ -148,7 +173,7 @@ def test_glb_keeps_lights(scene, loaded):
         np.testing.assert_allclose(lights[light.kind].colour, light.colour, rtol=1e-5)
 
 
-def test_gltf_uv_has_its_origin_at_the_top_left(tmp_path):
+def test_gltf_uv_has_its_origin_at_the_top_left(tmp_path: Path) -> None:
     (tmp_path / "my texture.png").write_bytes(png(CORNERS))
     material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
     path = gltf(tmp_path, materials=[material], textures=[{"source": 0}], images=[{"uri": "my%20texture.png"}])
@@ -158,7 +183,7 @@ def test_gltf_uv_has_its_origin_at_the_top_left(tmp_path):
     assert nearest_texel(mesh, [0, 1, 0]) == [0, 0, 255]
 
 
-def test_obj_uv_has_its_origin_at_the_bottom_left_and_is_turned(tmp_path):
+def test_obj_uv_has_its_origin_at_the_bottom_left_and_is_turned(tmp_path: Path) -> None:
     mesh = load_meshes(obj(tmp_path)).meshes[0]
     assert nearest_texel(mesh, [0, 0, 0]) == [0, 0, 255]
     assert nearest_texel(mesh, [1, 0, 0]) == [255, 255, 0]
@@ -166,18 +191,18 @@ def test_obj_uv_has_its_origin_at_the_bottom_left_and_is_turned(tmp_path):
     np.testing.assert_allclose(mesh.base_colour, [0.5, 0.25, 1])
 
 
-def test_ply_vertex_colours_are_made_linear(tmp_path):
+def test_ply_vertex_colours_are_made_linear(tmp_path: Path) -> None:
     colour = load_meshes(ply(tmp_path)).meshes[0].vertex_colour
-    np.testing.assert_allclose(colour[0], [1, 0.5028865, 0], atol=1e-6)
+    np.testing.assert_allclose(present(colour)[0], [1, 0.5028865, 0], atol=1e-6)
 
 
-def test_normals_are_computed_where_the_file_has_none(tmp_path):
+def test_normals_are_computed_where_the_file_has_none(tmp_path: Path) -> None:
     np.testing.assert_allclose(load_meshes(gltf(tmp_path)).meshes[0].normal, np.tile([0, 0, 1], (3, 1)), atol=1e-7)
 
 
-def test_a_gltf_without_normals_is_flat(tmp_path):
-    corners = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    faces = np.uint32([[0, 1, 2], [0, 2, 3], [0, 3, 1]])
+def test_a_gltf_without_normals_is_flat(tmp_path: Path) -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1]], np.uint32)
     blob = corners.tobytes() + faces.tobytes()
     path = gltf(
         tmp_path,
@@ -194,13 +219,13 @@ def test_a_gltf_without_normals_is_flat(tmp_path):
     np.testing.assert_allclose(mesh.normal[mesh.triangles.ravel()], expected, atol=1e-7)
 
 
-def test_a_child_node_is_placed_through_its_parents(tmp_path):
+def test_a_child_node_is_placed_through_its_parents(tmp_path: Path) -> None:
     nodes = [{"children": [1], "scale": [2, 2, 2]}, {"mesh": 0, "name": "here", "translation": [1, 0, 0]}]
     instance = load_meshes(gltf(tmp_path, nodes=nodes)).instances[0]
     np.testing.assert_allclose(instance.world_from_mesh, [[2, 0, 0, 2], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]])
 
 
-def test_a_light_shines_along_the_minus_z_of_its_node_with_intensity_over_pi(tmp_path):
+def test_a_light_shines_along_the_minus_z_of_its_node_with_intensity_over_pi(tmp_path: Path) -> None:
     lights = {"KHR_lights_punctual": {"lights": [{"type": "directional", "intensity": 3.0, "color": [1, 0.5, 0]}]}}
     nodes = [{"mesh": 0}, {"rotation": [0, 0.6, 0, 0.8], "extensions": {"KHR_lights_punctual": {"light": 0}}}]
     light = load_meshes(gltf(tmp_path, nodes=nodes, scenes=[{"nodes": [0, 1]}], extensions=lights)).lights[0]
@@ -208,7 +233,7 @@ def test_a_light_shines_along_the_minus_z_of_its_node_with_intensity_over_pi(tmp
     np.testing.assert_allclose(light.colour, np.array([3, 1.5, 0]) / np.pi, rtol=1e-6)
 
 
-def test_triangles_without_area_are_dropped(tmp_path):
+def test_triangles_without_area_are_dropped(tmp_path: Path) -> None:
     mesh = load_meshes(obj(tmp_path, faces="f 1/1 2/2 3/3\nf 1/1 1/1 2/2\n")).meshes[0]
     assert len(mesh.triangles) == 1
 
@@ -226,12 +251,12 @@ def test_triangles_without_area_are_dropped(tmp_path):
         ({"extensions": {"KHR_materials_transmission": {"transmissionFactor": 1}}}, "KHR_materials_transmission"),
     ],
 )
-def test_properties_of_gltf_that_are_not_drawn_are_named(tmp_path, material, keys):
+def test_properties_of_gltf_that_are_not_drawn_are_named(tmp_path: Path, material: dict[str, Any], keys: str) -> None:
     path = gltf(tmp_path, materials=[{"name": "steel"} | material, {"alphaMode": "MASK"}])  # no mesh has the second
     assert load_meshes(path).not_drawn == ((f"{keys} of 'steel' in wedge.gltf",) if keys else ())
 
 
-def test_a_material_without_a_name_is_named_by_its_number(tmp_path):
+def test_a_material_without_a_name_is_named_by_its_number(tmp_path: Path) -> None:
     surface = {"pbrMetallicRoughness": {"metallicFactor": 0}, "extensions": {"KHR_materials_sheen": {}}}
     path = gltf(tmp_path, materials=[surface])
     assert load_meshes(path).not_drawn == ("KHR_materials_sheen of 'material 0' in wedge.gltf",)
@@ -245,7 +270,9 @@ def test_a_material_without_a_name_is_named_by_its_number(tmp_path):
         ({"offset": [0, 1], "scale": [1, -1], "texCoord": 0}, [0, 1], [1, 1], [0, 0]),
     ],
 )
-def test_texture_coordinates_are_moved_as_the_material_states(tmp_path, transform, first, second, third):
+def test_texture_coordinates_are_moved_as_the_material_states(
+    tmp_path: Path, transform: dict[str, Any], first: Sequence[int], second: Sequence[float], third: Sequence[float]
+) -> None:
     (tmp_path / "t.png").write_bytes(png(CORNERS))
     texture = {"index": 0, "texCoord": 0, "extensions": {"KHR_texture_transform": transform}}
     surface = {"pbrMetallicRoughness": {"baseColorTexture": texture, "metallicFactor": 0}}
@@ -260,7 +287,7 @@ def test_texture_coordinates_are_moved_as_the_material_states(tmp_path, transfor
     mesh = loaded.meshes[0]
     assert loaded.not_drawn == ()
     for place, uv in (([0, 0, 0], first), ([1, 0, 0], second), ([0, 1, 0], third)):
-        found = mesh.uv[np.argmin(np.linalg.norm(mesh.position - place, axis=1))]
+        found = present(mesh.uv)[np.argmin(np.linalg.norm(mesh.position - place, axis=1))]
         np.testing.assert_allclose(found, uv, atol=1e-6)
 
 
@@ -268,23 +295,23 @@ def test_texture_coordinates_are_moved_as_the_material_states(tmp_path, transfor
     ("lines", "keys"),
     [("d 1.0\nKe 0.0 0 0\nTr 0\n", ""), ("d 0.3\n", "d"), ("d -halo 1\nKe 0 0 2\n", "d, ke"), ("Pm 1\n", "pm")],
 )
-def test_properties_of_obj_that_are_not_drawn_are_named(tmp_path, lines, keys):
+def test_properties_of_obj_that_are_not_drawn_are_named(tmp_path: Path, lines: str, keys: str) -> None:
     path = obj(tmp_path, mtl=f"newmtl m\nKd 0.5 0.25 1\nKs 0.5 0.5 0.5\n{lines}map_Kd t.png\n")
     assert load_meshes(path).not_drawn == ((f"{keys} of 'm' in wedge.obj",) if keys else ())
 
 
-def chain(count):
+def chain(count: int) -> list[Any]:
     return [{"children": [i + 1]} for i in range(count)] + [{"mesh": 0}]
 
 
-def accessors(**changes):
+def accessors(**changes: Any) -> list[Any]:
     """Those of `gltf`, the first one changed."""
     rows = ((5126, "VEC3"), (5125, "SCALAR"), (5126, "VEC2"))
     stated = [{"bufferView": i, "componentType": c, "count": 3, "type": t} for i, (c, t) in enumerate(rows)]
     return [stated[0] | changes, *stated[1:]]
 
 
-def sparse(indices):
+def sparse(indices: Sequence[Any]) -> dict[Any, Any]:
     """The sparse part of the positions, with its indices and values in the last two views of `moved_corner`."""
     return {
         "count": len(indices),
@@ -293,13 +320,16 @@ def sparse(indices):
     }
 
 
-def moved_corner(indices):
+def moved_corner(indices: Sequence[Any]) -> dict[Any, Any]:
     """Keys of `gltf` with sparse positions: the corners with these indices are (5, 6, 7)."""
-    content = np.array(indices, np.uint32).tobytes() + np.tile(np.float32([5, 6, 7]), len(indices)).tobytes()
+    content = np.array(indices, np.uint32).tobytes() + np.tile(np.array([5, 6, 7], np.float32), len(indices)).tobytes()
     starts = np.cumsum([0, 36, 12, 24, 4 * len(indices)]).tolist()
     lengths = (36, 12, 24, 4 * len(indices), 12 * len(indices))
     blob = (
-        np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]]).tobytes() + np.uint32([0, 1, 2]).tobytes() + bytes(24) + content
+        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32).tobytes()
+        + np.array([0, 1, 2], np.uint32).tobytes()
+        + bytes(24)
+        + content
     )
     return {
         "accessors": accessors(sparse=sparse(indices)),
@@ -308,24 +338,24 @@ def moved_corner(indices):
     }
 
 
-def binary_ply(folder, corners):
+def binary_ply(folder, corners: tuple[int, ...]):
     """A PLY of one triangle, whose faces say that they have so many corners."""
     header = ply(folder).read_bytes().partition(b"end_header\n")[0].replace(b"ascii", b"binary_little_endian")
     header = re.sub(rb"property uchar \w+\n", b"", header).replace(b"face 1", b"face %d" % len(corners))
     faces = b"".join(bytes([count]) + struct.pack("<4i", 0, 1, 2, 0)[: 4 * min(count, 4)] for count in corners)
     path = folder / "wedge.ply"
-    path.write_bytes(header + b"end_header\n" + np.float32([0, 0, 0, 1, 0, 0, 0, 1, 0]).tobytes() + faces)
+    path.write_bytes(header + b"end_header\n" + np.array([0, 0, 0, 1, 0, 0, 0, 1, 0], np.float32).tobytes() + faces)
     return path
 
 
-def changed(path, old, new):
+def changed(path: Path, old: int, new: int) -> Path:
     content = path.read_bytes()
     assert old in content
     path.write_bytes(content.replace(old, new))
     return path
 
 
-def bomb():
+def bomb() -> bytes:
     """A small PNG that claims to be a large one."""
     small, large = (b"IHDR" + struct.pack(">IIBBBBB", n, n, 8, 2, 0, 0, 0) for n in (2, 50_000))
     return png(CORNERS).replace(
@@ -333,7 +363,7 @@ def bomb():
     )
 
 
-def glb(folder, length):
+def glb(folder: Path, length: int) -> Path:
     """That of `gltf`, its buffer of a stated length."""
     content = json.loads(gltf(folder).read_text())
     blob = base64.b64decode(content["buffers"][0]["uri"].partition(",")[2])
@@ -345,7 +375,7 @@ def glb(folder, length):
     return path
 
 
-def half():
+def half() -> bytes:
     """A PNG with two rows of four."""
     whole, two = (b"IHDR" + struct.pack(">IIBBBBB", 2, n, 8, 2, 0, 0, 0) for n in (4, 2))
     crc = [struct.pack(">I", zlib.crc32(each)) for each in (two, whole)]
@@ -361,7 +391,10 @@ SPOT = {"KHR_lights_punctual": {"lights": [{"type": "spot"}]}}
 SPOT_NODES = [{"mesh": 0, "name": "bulb", "extensions": {"KHR_lights_punctual": {"light": 0}}}]
 PICTURE = "data:image/png;base64," + base64.b64encode(png(CORNERS)).decode()
 MATT = [{}]
-TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}], "textures": [{"source": 0}]}
+TEXTURED: dict[str, Any] = {
+    "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+    "textures": [{"source": 0}],
+}
 
 
 @pytest.mark.parametrize(
@@ -485,7 +518,7 @@ TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index"
         (lambda d: ply(d, vertices=("0 0 0 0 0 0", "1 0 nan 0 0 0", "0 1 0 0 0 0")), "a vertex that is not finite"),
     ],
 )
-def test_a_faulty_file_is_refused_with_its_name(tmp_path, make, complaint):
+def test_a_faulty_file_is_refused_with_its_name(tmp_path: Path, make: Callable[..., Any], complaint: str) -> None:
     path = make(tmp_path)
     with pytest.raises(BadInputError) as caught:
         load_meshes(path)
@@ -493,13 +526,13 @@ def test_a_faulty_file_is_refused_with_its_name(tmp_path, make, complaint):
     assert complaint in str(caught.value)
 
 
-def wedge(*more, **changes):
+def wedge(*more: object, **changes: Any) -> list[Any]:
     """The mesh of `gltf` with a changed primitive, and `more` primitives."""
     primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 2}, "indices": 1, "material": 0}
     return [{"name": "wedge", "primitives": [primitive | changes, *more]}]
 
 
-def textured(sampler=None, **changes):
+def textured(sampler: Mapping[str, int] | None = None, **changes: Any) -> dict[Any, Any]:
     """Keys of `gltf` for a matt material 'm' with a texture."""
     surface = {"metallicFactor": 0, "baseColorTexture": {"index": 0} | changes}
     texture = {"source": 0} | ({} if sampler is None else {"sampler": 0})
@@ -512,14 +545,14 @@ def textured(sampler=None, **changes):
 
 
 @pytest.mark.parametrize("mode", [0, 1, 2, 3])
-def test_points_and_lines_beside_triangles_are_named(tmp_path, mode):
+def test_points_and_lines_beside_triangles_are_named(tmp_path: Path, mode: int) -> None:
     path = gltf(tmp_path, materials=MATT, meshes=wedge({"attributes": {"POSITION": 0}, "mode": mode}))
     content = load_meshes(path)
     assert content.not_drawn == (f"{'lines' if mode else 'points'} of mesh 'wedge' in wedge.gltf",)
     assert [len(mesh.triangles) for mesh in content.meshes] == [1]
 
 
-def test_what_hangs_on_a_mesh_of_points_or_on_a_camera_is_drawn(tmp_path):
+def test_what_hangs_on_a_mesh_of_points_or_on_a_camera_is_drawn(tmp_path: Path) -> None:
     points = {"name": "dust", "primitives": [{"attributes": {"POSITION": 0}, "mode": 0}]}
     nodes = [{"mesh": 1, "children": [1]}, {"camera": 0, "children": [2]}, {"mesh": 0, "name": "here"}]
     camera = {"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1, "aspectRatio": 1}}
@@ -536,13 +569,15 @@ def test_what_hangs_on_a_mesh_of_points_or_on_a_camera_is_drawn(tmp_path):
         ({"weights": [0.5]}, {"weights": [0]}, False),
     ],
 )
-def test_morph_targets_with_weights_are_named(tmp_path, mesh, node, named):
+def test_morph_targets_with_weights_are_named(
+    tmp_path: Path, mesh: dict[str, list[float]], node: dict[str, list[float]], named: bool
+) -> None:
     meshes = [wedge(targets=[{"POSITION": 0}])[0] | mesh]
     path = gltf(tmp_path, materials=MATT, meshes=meshes, nodes=[{"mesh": 0} | node])
     assert load_meshes(path).not_drawn == (("morph targets of mesh 'wedge' in wedge.gltf",) if named else ())
 
 
-def test_animations_skins_and_extensions_of_nodes_are_named(tmp_path):
+def test_animations_skins_and_extensions_of_nodes_are_named(tmp_path: Path) -> None:
     node = {"mesh": 0, "name": "here", "skin": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}
     path = gltf(tmp_path, materials=MATT, nodes=[node], animations=[{"name": "walk"}, {}])
     assert load_meshes(path).not_drawn == (
@@ -562,7 +597,9 @@ def test_animations_skins_and_extensions_of_nodes_are_named(tmp_path):
         ({"magFilter": 9728}, 1.0, "magFilter NEAREST"),
     ],
 )
-def test_samplers_that_differ_from_what_is_drawn_are_named(tmp_path, sampler, uv, keys):
+def test_samplers_that_differ_from_what_is_drawn_are_named(
+    tmp_path: Path, sampler: Mapping[str, int], uv: float, keys: str
+) -> None:
     path = gltf(tmp_path, **textured(sampler))
     content = json.loads(path.read_text())
     blob = base64.b64decode(content["buffers"][0]["uri"].partition(",")[2])
@@ -572,7 +609,7 @@ def test_samplers_that_differ_from_what_is_drawn_are_named(tmp_path, sampler, uv
     assert load_meshes(path).not_drawn == ((f"{keys} of 'm' in wedge.gltf",) if keys else ())
 
 
-def test_materials_that_lose_the_same_are_named_together_without_a_limit(tmp_path):
+def test_materials_that_lose_the_same_are_named_together_without_a_limit(tmp_path: Path) -> None:
     materials = [{"name": f"glass {n}", "alphaMode": "BLEND"} for n in range(30)]
     primitive = wedge()[0]["primitives"][0]
     meshes = [{"primitives": [primitive | {"material": n} for n in range(30)]}]
@@ -580,7 +617,7 @@ def test_materials_that_lose_the_same_are_named_together_without_a_limit(tmp_pat
     assert text == f"alphaMode of {', '.join(repr(each['name']) for each in materials)} in wedge.gltf"
 
 
-def test_a_spot_light_is_left_out_and_named(tmp_path):
+def test_a_spot_light_is_left_out_and_named(tmp_path: Path) -> None:
     lights = {"KHR_lights_punctual": {"lights": [{"type": "spot"}, {"type": "point"}]}}
     nodes = [*SPOT_NODES, {"extensions": {"KHR_lights_punctual": {"light": 1}}}]
     scenes = [{"nodes": [0, 1]}]
@@ -589,14 +626,14 @@ def test_a_spot_light_is_left_out_and_named(tmp_path):
     assert content.not_drawn == ("spot light 'bulb' in wedge.gltf",)
 
 
-def test_a_light_on_a_mesh_of_two_primitives_shines_once(tmp_path):
+def test_a_light_on_a_mesh_of_two_primitives_shines_once(tmp_path: Path) -> None:
     lights = {"KHR_lights_punctual": {"lights": [{"type": "point"}]}}
     path = gltf(tmp_path, meshes=wedge(*wedge()[0]["primitives"]), nodes=SPOT_NODES, extensions=lights)
     assert len(load_meshes(path).lights) == 1
 
 
 @pytest.mark.parametrize("binary", [False, True])
-def test_instances_have_the_order_of_the_nodes_depth_first(tmp_path, binary):
+def test_instances_have_the_order_of_the_nodes_depth_first(tmp_path: Path, binary: bool) -> None:
     names, children = ("root", "texbox", "ball", "lid", "pane"), {0: [1, 2, 4], 2: [3]}
     nodes = [
         {"mesh": 0, "name": name} | ({"children": children[n]} if n in children else {}) for n, name in enumerate(names)
@@ -612,23 +649,25 @@ def test_instances_have_the_order_of_the_nodes_depth_first(tmp_path, binary):
     assert [instance.name for instance in load_meshes(path).instances] == list(names)
 
 
-def test_primitives_of_a_mesh_are_instances_with_names_that_do_not_change(tmp_path):
+def test_primitives_of_a_mesh_are_instances_with_names_that_do_not_change(tmp_path: Path) -> None:
     path = gltf(tmp_path, meshes=wedge(*wedge()[0]["primitives"]))
     assert [instance.name for instance in load_meshes(path).instances] == ["here/wedge", "here/wedge_1"]
 
 
-def test_a_base_texture_uses_its_own_coordinates(tmp_path):
+def test_a_base_texture_uses_its_own_coordinates(tmp_path: Path) -> None:
     keys = textured(texCoord=1)
     # TEXCOORD_0 reads numbers of the positions.
     other = [*accessors(), {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC2"}]
     attributes = {"POSITION": 0, "TEXCOORD_0": 3, "TEXCOORD_1": 2}
     mesh = load_meshes(gltf(tmp_path, meshes=wedge(attributes=attributes), accessors=other, **keys)).meshes[0]
-    np.testing.assert_allclose(mesh.uv, [[0, 0], [1, 0], [0, 1]])
+    np.testing.assert_allclose(present(mesh.uv), [[0, 0], [1, 0], [0, 1]])
     np.testing.assert_array_equal(mesh.texture, CORNERS)
 
 
 @pytest.mark.parametrize("rough", [None, {"baseColorFactor": [1, 1, 1, 1]}])
-def test_the_diffuse_texture_of_specular_glossiness_is_drawn(tmp_path, rough):
+def test_the_diffuse_texture_of_specular_glossiness_is_drawn(
+    tmp_path: Path, rough: dict[str, list[int]] | None
+) -> None:
     glossy = {"diffuseFactor": [0.2, 0.4, 0.6, 1], "diffuseTexture": {"index": 0}, "glossinessFactor": 0.5}
     material = {"name": "m", "extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}}
     material |= {} if rough is None else {"pbrMetallicRoughness": rough | {"metallicFactor": 0}}
@@ -638,23 +677,23 @@ def test_the_diffuse_texture_of_specular_glossiness_is_drawn(tmp_path, rough):
     assert content.not_drawn == ("KHR_materials_pbrSpecularGlossiness of 'm' in wedge.gltf",)
 
 
-def test_bytes_that_are_used_many_times_are_refused(tmp_path, monkeypatch):
+def test_bytes_that_are_used_many_times_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gltf_document, "LIMITS", InputLimits(mesh_bytes=100))
     load_meshes(gltf(tmp_path))
     with pytest.raises(BadInputError, match=r"wedge\.gltf: uses the same bytes for more than 0\.0001 MB"):
         load_meshes(gltf(tmp_path, accessors=2 * accessors()))
 
 
-def test_a_file_elsewhere_is_read_if_the_user_trusts_the_mesh(tmp_path):
+def test_a_file_elsewhere_is_read_if_the_user_trusts_the_mesh(tmp_path: Path) -> None:
     (tmp_path / "t.png").write_bytes(png(CORNERS))
     (tmp_path / "in").mkdir()
     path = gltf(tmp_path / "in", images=[{"uri": "../t.png"}], **TEXTURED)
     with outside_references():
-        assert load_meshes(path).meshes[0].texture.shape == (2, 2, 3)
+        assert present(load_meshes(path).meshes[0].texture).shape == (2, 2, 3)
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf", ".obj", ".ply"])
-def test_rubbish_and_empty_files_are_refused(tmp_path, suffix):
+def test_rubbish_and_empty_files_are_refused(tmp_path: Path, suffix: str) -> None:
     for content in (b"", b"rubbish", bytes(range(256))):
         path = tmp_path / f"rubbish{suffix}"
         path.write_bytes(content)
@@ -662,7 +701,7 @@ def test_rubbish_and_empty_files_are_refused(tmp_path, suffix):
             load_meshes(path)
 
 
-def test_a_broken_texture_is_refused(tmp_path):
+def test_a_broken_texture_is_refused(tmp_path: Path) -> None:
     path = obj(tmp_path)
     (tmp_path / "t.png").write_bytes(b"not a picture")
     with pytest.raises(BadInputError, match=r"wedge\.obj: its file t\.png: cannot be read as a picture"):
@@ -674,9 +713,9 @@ def test_a_broken_texture_is_refused(tmp_path):
     ("mode", "faces"),
     [(5, [[0, 1, 2], [1, 3, 2], [2, 3, 4]]), (6, [[1, 2, 0], [2, 3, 0], [3, 4, 0]]), (4, [[0, 1, 2]])],
 )
-def test_strips_and_fans_become_triangles(tmp_path, mode, faces, indexed):
-    corners = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.2, 2, 0]])
-    blob = corners.tobytes() + np.uint8([0, 1, 2, 3, 4]).tobytes() + bytes(3)
+def test_strips_and_fans_become_triangles(tmp_path: Path, mode: int, faces: Sequence[list[int]], indexed: bool) -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.2, 2, 0]], np.float32)
+    blob = corners.tobytes() + np.array([0, 1, 2, 3, 4], np.uint8).tobytes() + bytes(3)
     path = gltf(
         tmp_path,
         meshes=[{"primitives": [{"attributes": {"POSITION": 0}, "mode": mode} | ({"indices": 1} if indexed else {})]}],
@@ -691,7 +730,7 @@ def test_strips_and_fans_become_triangles(tmp_path, mode, faces, indexed):
     np.testing.assert_array_equal(mesh.position[mesh.triangles], corners[faces])
 
 
-def test_sparse_positions_replace_stored_ones(tmp_path):
+def test_sparse_positions_replace_stored_ones(tmp_path: Path) -> None:
     mesh = load_meshes(gltf(tmp_path, **moved_corner([1]))).meshes[0]
     assert sorted(mesh.position.tolist()) == [[0, 0, 0], [0, 1, 0], [5, 6, 7]]
     stated = moved_corner([0, 1, 2])
@@ -700,7 +739,14 @@ def test_sparse_positions_replace_stored_ones(tmp_path):
         load_meshes(gltf(tmp_path, **stated))
 
 
-def typed(folder, position, normal, colour, extensions=("KHR_mesh_quantization",), **flags):
+def typed(
+    folder: Path,
+    position: NDArray[Any],
+    normal: IntArray,
+    colour: NDArray[Any],
+    extensions: tuple[str] = ("KHR_mesh_quantization",),
+    **flags: Any,
+) -> Path:
     """A triangle with attributes of any type, interleaved in rows of 4-byte steps, beside a texture of coordinates."""
     kinds = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "f4": 5126}
     arrays = [np.asarray(each) for each in (position, normal, colour)]
@@ -728,7 +774,9 @@ def typed(folder, position, normal, colour, extensions=("KHR_mesh_quantization",
     [(np.int8, 1 / 127, True), (np.uint16, 1 / 65535, True), (np.uint8, 1, False), (np.int16, 1, False)],
 )
 @pytest.mark.parametrize("colour", [np.uint8, np.uint16, np.float32])
-def test_quantised_and_interleaved_attributes_are_read(tmp_path, position, scale, normalised, colour):
+def test_quantised_and_interleaved_attributes_are_read(
+    tmp_path: Path, position: type[integer], scale: float, normalised: bool, colour: type[number]
+) -> None:
     corners = np.array([[0, 0, 0], [100, 0, 0], [0, 50, 0]], position)
     white = 1 if colour is np.float32 else np.iinfo(colour).max
     colours = (np.array([[1, 0.5, 0, 1]] * 3) * white).astype(colour)
@@ -736,12 +784,12 @@ def test_quantised_and_interleaved_attributes_are_read(tmp_path, position, scale
     mesh = load_meshes(typed(tmp_path, corners, normals, colours, POSITION=normalised)).meshes[0]
     np.testing.assert_allclose(mesh.position, corners.astype(float) * scale, rtol=1e-6)
     np.testing.assert_allclose(mesh.normal, [[0, 0, 1]] * 3)
-    np.testing.assert_allclose(mesh.vertex_colour, (colours / white)[:, :3], rtol=1e-6)
+    np.testing.assert_allclose(present(mesh.vertex_colour), (colours / white)[:, :3], rtol=1e-6)
     with pytest.raises(BadInputError, match="POSITION is not of type VEC3 in floats"):
         load_meshes(typed(tmp_path, corners, normals, colours, extensions=()))
 
 
-def test_data_of_a_uri_may_be_percent_encoded(tmp_path):
+def test_data_of_a_uri_may_be_percent_encoded(tmp_path: Path) -> None:
     """RFC 2397: without ;base64 the data are text."""
     blob = base64.b64decode(json.loads(gltf(tmp_path).read_text())["buffers"][0]["uri"].partition(",")[2])
     text = "".join(f"%{byte:02x}" for byte in blob)
@@ -751,18 +799,18 @@ def test_data_of_a_uri_may_be_percent_encoded(tmp_path):
     np.testing.assert_array_equal(mesh.texture, CORNERS)
 
 
-def test_a_primitive_without_positions_is_named(tmp_path):
+def test_a_primitive_without_positions_is_named(tmp_path: Path) -> None:
     loaded = load_meshes(gltf(tmp_path, meshes=wedge({"attributes": {}})))
     assert len(loaded.meshes) == 1
     assert "primitives without positions of mesh 'wedge' in wedge.gltf" in loaded.not_drawn
 
 
-def test_an_optional_extension_of_primitives_is_ignored(tmp_path):
+def test_an_optional_extension_of_primitives_is_ignored(tmp_path: Path) -> None:
     draco = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
     assert len(load_meshes(gltf(tmp_path, meshes=wedge(extensions=draco))).meshes) == 1
 
 
-def test_things_of_the_same_name_get_numbers(tmp_path):
+def test_things_of_the_same_name_get_numbers(tmp_path: Path) -> None:
     nodes = [{"mesh": 0, "name": "pin"}] * 3 + [{"mesh": 1, "name": "pin_7"}, {"mesh": 0, "name": "pin_7"}, {"mesh": 1}]
     found = load_meshes(gltf(tmp_path, meshes=2 * wedge(), nodes=nodes, scenes=[{"nodes": list(range(6))}]))
     assert [mesh.name for mesh in found.meshes] == ["wedge", "wedge_1"]
@@ -770,19 +818,19 @@ def test_things_of_the_same_name_get_numbers(tmp_path):
     assert [each.mesh for each in found.instances] == [0, 0, 0, 1, 0, 1]
 
 
-def test_only_the_stated_scene_is_drawn(tmp_path):
+def test_only_the_stated_scene_is_drawn(tmp_path: Path) -> None:
     nodes = [{"mesh": 0, "name": "here"}, {"mesh": 0, "name": "there"}]
     path = gltf(tmp_path, nodes=nodes, scene=1, scenes=[{"nodes": [0]}, {"nodes": [1]}])
     assert [each.name for each in load_meshes(path).instances] == ["there"]
 
 
-def test_a_base_colour_keeps_its_digits(tmp_path):
+def test_a_base_colour_keeps_its_digits(tmp_path: Path) -> None:
     colour = [0.123456, 0.5, 1.0]
     path = gltf(tmp_path, materials=[{"pbrMetallicRoughness": {"baseColorFactor": [*colour, 1]}}])
     np.testing.assert_array_equal(load_meshes(path).meshes[0].base_colour, np.float32(colour))
 
 
-def test_a_picture_that_is_not_drawn_may_be_missing(tmp_path):
+def test_a_picture_that_is_not_drawn_may_be_missing(tmp_path: Path) -> None:
     material = {"name": "m", "normalTexture": {"index": 0}}
     path = gltf(tmp_path, materials=[material], textures=[{"source": 0}], images=[{"uri": "gone.png"}])
     assert load_meshes(path).not_drawn == ("normalTexture of 'm' in wedge.gltf",)
@@ -795,13 +843,15 @@ def test_a_picture_that_is_not_drawn_may_be_missing(tmp_path):
         ([0, 0, 0], [0.9, 0.7, 0.3], [0.9, 0.7, 0.3]),  # a metal
     ],
 )
-def test_specular_glossiness_without_textures_has_the_equivalent_base_colour(tmp_path, diffuse, specular, expected):
+def test_specular_glossiness_without_textures_has_the_equivalent_base_colour(
+    tmp_path: Path, diffuse, specular, expected
+) -> None:
     glossy = {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [*diffuse, 1], "specularFactor": specular}}
     mesh = load_meshes(gltf(tmp_path, materials=[{"extensions": glossy}])).meshes[0]
     np.testing.assert_allclose(mesh.base_colour, expected, atol=2e-3)
 
 
-def test_a_primitive_without_area_is_left_out(tmp_path):
+def test_a_primitive_without_area_is_left_out(tmp_path: Path) -> None:
     meshes = [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}, {"attributes": {"POSITION": 3}}]}]
     flat = {"componentType": 5126, "count": 3, "type": "VEC3"}
     found = load_meshes(gltf(tmp_path, meshes=meshes, accessors=[*accessors(), flat]))
@@ -809,7 +859,7 @@ def test_a_primitive_without_area_is_left_out(tmp_path):
     assert [instance.mesh for instance in found.instances] == [0]
 
 
-def test_a_glb_may_have_chunks_of_other_kinds(tmp_path):
+def test_a_glb_may_have_chunks_of_other_kinds(tmp_path: Path) -> None:
     path = glb(tmp_path, 72)
     content = path.read_bytes() + struct.pack("<I4s", 8, b"XYZW") + bytes(8)
     path.write_bytes(content[:8] + struct.pack("<I", len(content)) + content[12:])

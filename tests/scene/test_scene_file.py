@@ -1,4 +1,7 @@
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,14 +23,14 @@ BOX = '[[object]]\nshape = "box"\n'
 EYE = np.array([0.032, 0.0, -0.03])
 
 
-def scene_of(folder, text):
+def scene_of(folder: Path, text: str) -> Scene:
     path = folder / "mine.toml"
     path.write_text(text, encoding="utf-8")
     return load_scene(path)
 
 
 @pytest.fixture
-def box_glb(tmp_path):
+def box_glb(tmp_path: Path) -> Path:
     """A box of 0.1 m at (5, 0, 0) under a lamp 0.5 m above its foot."""
     shifted = transforms.rigid(np.eye(3), np.array([5.0, 0, 0]))
     lamp = LightSource("point", np.array([5.0, 0.5, 0]), np.ones(3, np.float32))
@@ -36,7 +39,7 @@ def box_glb(tmp_path):
     return save_glb(scene, tmp_path / "box.glb")
 
 
-def tangents_of(scene, names):
+def tangents_of(scene: Scene, names: tuple[str, str]):
     """Tangents of all vertices of some objects as the eye sees them, (n, 2)."""
     points = [world_positions(scene.mesh_of(i), i) for i in scene.instances if i.name in names]
     offset = np.concatenate(points) - EYE
@@ -44,7 +47,7 @@ def tangents_of(scene, names):
 
 
 @pytest.mark.parametrize("name", shipped_names("scenes", ".toml"))
-def test_shipped_scenes_load_and_lie_ahead_of_the_eye(name):
+def test_shipped_scenes_load_and_lie_ahead_of_the_eye(name: str) -> None:
     scene = shipped_scene(name)
     assert scene.name == name
     assert scene.triangle_count > 0
@@ -53,7 +56,7 @@ def test_shipped_scenes_load_and_lie_ahead_of_the_eye(name):
     assert centre[2] < -0.5
 
 
-def test_the_sculpture_is_fine_and_lies_in_the_fields_of_the_devices():
+def test_the_sculpture_is_fine_and_lies_in_the_fields_of_the_devices() -> None:
     scene = shipped_scene("sculpture")
     assert scene.triangle_count >= 100_000
     angles = np.rad2deg(np.arctan(tangents_of(scene, ("sculpture", "plinth"))))
@@ -62,7 +65,7 @@ def test_the_sculpture_is_fine_and_lies_in_the_fields_of_the_devices():
     assert angles[:, 1].max() < 8
 
 
-def test_the_objects_of_the_desk_reach_from_a_third_of_a_metre_to_three():
+def test_the_objects_of_the_desk_reach_from_a_third_of_a_metre_to_three() -> None:
     scene = shipped_scene("desk")
     nearest = {
         i.name: np.linalg.norm(world_positions(scene.mesh_of(i), i) - EYE, axis=1).min() for i in scene.instances
@@ -73,7 +76,7 @@ def test_the_objects_of_the_desk_reach_from_a_third_of_a_metre_to_three():
     assert len(scene.instances) >= 15
 
 
-def test_a_scene_file_is_read(tmp_path):
+def test_a_scene_file_is_read(tmp_path: Path) -> None:
     light = '[[light]]\nkind = "directional"\ndirection = [0, -2, 0]\ncolour = [1, 0.5, 0]\n'
     lamp = '[[light]]\nkind = "point"\nposition_m = [1, 2, 3]\ncolour = [0.1, 0.1, 0.1]\n'
     header = HEADER + "ambient = [0.1, 0.2, 0.3]\nbackground = [0.4, 0.5, 0.6]\n"
@@ -101,12 +104,14 @@ def test_a_scene_file_is_read(tmp_path):
         ("position_m = [1, 2, 3]\nscale = 2", [1, 0, 0], [3, 2, 3]),
     ],
 )
-def test_placement_scales_then_rotates_then_translates(tmp_path, keys, point, expected):
+def test_placement_scales_then_rotates_then_translates(
+    tmp_path: Path, keys: str, point: Sequence[int], expected: Sequence[float]
+) -> None:
     matrix = scene_of(tmp_path, HEADER + BOX + keys).instances[0].world_from_mesh
     np.testing.assert_allclose(transforms.apply(matrix, np.array(point, float)), expected, atol=1e-12)
 
 
-def test_a_mesh_file_is_found_beside_the_scene_and_its_lights_move_along(tmp_path, box_glb):
+def test_a_mesh_file_is_found_beside_the_scene_and_its_lights_move_along(tmp_path: Path, box_glb: Path) -> None:
     item = f'[[object]]\nmesh = "{box_glb.name}"\nposition_m = [-5, 1, 0]\nrotation_deg = [0, 0, 0]\n'
     turned = f'[[object]]\nname = "turned"\nmesh = "{box_glb.name}"\nrotation_deg = [0, 0, 90]\n'
     scene = scene_of(tmp_path, HEADER + item + turned)
@@ -121,7 +126,7 @@ def test_a_mesh_file_is_found_beside_the_scene_and_its_lights_move_along(tmp_pat
     np.testing.assert_allclose(suns, [[0, -1, 0], [1, 0, 0]], atol=1e-12)
 
 
-def test_a_mesh_file_alone_is_a_scene_one_metre_ahead(tmp_path, box_glb):
+def test_a_mesh_file_alone_is_a_scene_one_metre_ahead(tmp_path: Path, box_glb: Path) -> None:
     scene = load_scene(box_glb)
     np.testing.assert_allclose(scene.bounds.mean(axis=0), [0, 0, -1], atol=1e-7)
     np.testing.assert_allclose(np.ptp(scene.bounds, axis=0), 0.1, atol=1e-7)
@@ -192,24 +197,24 @@ def test_a_mesh_file_alone_is_a_scene_one_metre_ahead(tmp_path, box_glb):
         (HEADER + BOX + "[[light]]\nkind = 'point'\nposition_m = [0, 0, 0]\ncolor = [1, 1, 1]\n", "found 'color' inst"),
     ],
 )
-def test_a_faulty_scene_is_refused_with_its_file(tmp_path, text, complaint):
+def test_a_faulty_scene_is_refused_with_its_file(tmp_path: Path, text: str, complaint: str) -> None:
     with pytest.raises(BadInputError, match=r"mine\.toml|gone\.glb") as caught:
         scene_of(tmp_path, text)
     assert complaint in str(caught.value)
 
 
-def test_a_scene_of_too_many_triangles_is_refused(tmp_path, monkeypatch):
+def test_a_scene_of_too_many_triangles_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene_file, "_MOST_TRIANGLES", 20)
     with pytest.raises(BadInputError, match=r"number 2: brings the scene to more than 20 triangles"):
         scene_of(tmp_path, HEADER + BOX + BOX)
 
 
-def test_an_unknown_name_lists_the_shipped_scenes():
+def test_an_unknown_name_lists_the_shipped_scenes() -> None:
     with pytest.raises(BadInputError, match=r"desk, dots, sculpture.*Did you mean sculpture"):
         load_scene("sculptur")
 
 
-def test_materials_that_are_drawn_in_part_are_named_once_and_without_a_limit(tmp_path, box_glb):
+def test_materials_that_are_drawn_in_part_are_named_once_and_without_a_limit(tmp_path: Path, box_glb: Path) -> None:
     assert load_scene(box_glb).warnings == []
     parts = obj(tmp_path, mtl="newmtl m\nKd 0.5 0.25 1\nd 0.5\n", texture=False)
     placed = f"[[object]]\nmesh = '{parts.name}'\nposition_m = [0, 0, -2]\n"
@@ -220,7 +225,7 @@ def test_materials_that_are_drawn_in_part_are_named_once_and_without_a_limit(tmp
     assert all(each in many.warnings[0] for each in many.not_drawn)
 
 
-def test_a_scene_file_numbers_the_instances_of_a_glb_in_the_order_of_its_nodes(tmp_path):
+def test_a_scene_file_numbers_the_instances_of_a_glb_in_the_order_of_its_nodes(tmp_path: Path) -> None:
     nodes = [{"mesh": 0, "name": name, "translation": [0, 0, -1]} for name in ("texbox", "ball", "pane")]
     path = gltf(tmp_path, nodes=nodes, scenes=[{"nodes": [0, 1, 2]}])
     placed = f"[[object]]\nmesh = '{path.name}'\n"
@@ -229,13 +234,13 @@ def test_a_scene_file_numbers_the_instances_of_a_glb_in_the_order_of_its_nodes(t
     assert [instance.name for instance in load_scene(path).instances] == ["texbox", "ball", "pane"]
 
 
-def test_a_file_with_a_spot_light_alone_gets_the_lights_of_a_file_without_lights(tmp_path):
+def test_a_file_with_a_spot_light_alone_gets_the_lights_of_a_file_without_lights(tmp_path: Path) -> None:
     spot = {"KHR_lights_punctual": {"lights": [{"type": "spot"}]}}
     nodes = [{"mesh": 0, "extensions": {"KHR_lights_punctual": {"light": 0}}}]
     assert len(load_scene(gltf(tmp_path, nodes=nodes, extensions=spot)).lights) == 2
 
 
-def lit(folder, kind, intensity, **scene):
+def lit(folder: Path, kind: str, intensity: float, **scene: Any) -> Path:
     """A scene file of a white box 1 m away from a light of glTF, and the mesh file that it places."""
     box = construction.box()
     place = np.array([0, 1.0, 0]) if kind == "point" else np.array([0, -1.0, 0])
@@ -248,7 +253,7 @@ def lit(folder, kind, intensity, **scene):
 
 
 @pytest.mark.parametrize(("kind", "intensity"), [("directional", 683.0), ("point", 54351.4)])
-def test_photometric_lights_are_named_and_scaled_by_exposure(tmp_path, kind, intensity):
+def test_photometric_lights_are_named_and_scaled_by_exposure(tmp_path: Path, kind: str, intensity: float) -> None:
     scene = load_scene(lit(tmp_path, kind, intensity))
     ((name, brightness),) = scene.bright_lights().items()
     assert brightness == pytest.approx(intensity / np.pi, rel=1e-3)
@@ -264,7 +269,7 @@ def test_photometric_lights_are_named_and_scaled_by_exposure(tmp_path, kind, int
     np.testing.assert_array_equal(scaled.ambient, scene.ambient)
 
 
-def test_a_faulty_exposure_is_refused(tmp_path):
+def test_a_faulty_exposure_is_refused(tmp_path: Path) -> None:
     for value in ("0", "-1", "nan", "1e9"):
         with pytest.raises(BadInputError, match=r"lit.toml: 'exposure'"):
             load_scene(lit(tmp_path, "point", 1.0, exposure=value))

@@ -1,12 +1,16 @@
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
 from wlr_render.geometry.transforms import rotations_of_vectors
-from wlr_render.mappings import Eye, FieldOfView, Panel
+from wlr_render.mappings import Eye, FieldOfView, Panel, QueryResult
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
@@ -15,22 +19,24 @@ from wlr_render.simulation.simulate_captures import simulate, simulate_display, 
 
 
 @pytest.fixture
-def setup(flat_image_headset):
+def setup(flat_image_headset: Eye) -> CaptureSetup:
     return CaptureSetup(flat_image_headset)
 
 
-def planar(setup, count=9):
+def planar(setup: CaptureSetup, count: int = 9) -> FloatArray:
     return viewpoints.planar(setup.truth.eye_box, setup.field.reach, count)
 
 
-def rng():
+def rng() -> np.random.Generator:
     return np.random.default_rng(11)
 
 
-def test_the_camera_stands_as_the_sampling_says(flat_image_headset):
+def test_the_camera_stands_as_the_sampling_says(flat_image_headset: Eye) -> None:
     """A plane, the eye box and its centre; another word is refused, not taken for one of them."""
     depths = {
-        sampling: np.unique(simulate(flat_image_headset, 4, sampling=sampling, grid=(3, 3)).display.viewpoint, axis=0)
+        sampling: np.unique(
+            present(simulate(flat_image_headset, 4, sampling=sampling, grid=(3, 3)).display).viewpoint, axis=0
+        )
         for sampling in ("planar", "volumetric", "static")
     }
     assert [len(each) for each in depths.values()] == [4, 4, 1]
@@ -39,7 +45,7 @@ def test_the_camera_stands_as_the_sampling_says(flat_image_headset):
         simulate(flat_image_headset, 4, sampling="plannar")
 
 
-def test_field_bounds_every_pixel_from_everywhere_in_the_eye_box(setup):
+def test_field_bounds_every_pixel_from_everywhere_in_the_eye_box(setup: CaptureSetup) -> None:
     panel = setup.truth.display.panel
     viewpoint = viewpoints.random_in_eye_box(setup.truth.eye_box, 50, rng())
     seen = setup.truth.display.view_dir_of_pixel(panel.pixel_centres()[:, :, None], viewpoint)
@@ -48,7 +54,7 @@ def test_field_bounds_every_pixel_from_everywhere_in_the_eye_box(setup):
     np.testing.assert_allclose(setup.field.reach, [0.706 / 2.007, 0.506 / 2.007], rtol=1e-3)
 
 
-def test_exact_display_captures_are_the_truth(setup):
+def test_exact_display_captures_are_the_truth(setup: CaptureSetup) -> None:
     at = planar(setup)
     captures = simulate_display(setup, at, rng())
     assert len(captures) == 9 * 525
@@ -58,7 +64,7 @@ def test_exact_display_captures_are_the_truth(setup):
     assert not captures.sigma_arcmin.any()
 
 
-def test_a_camera_with_a_small_field_decodes_its_own_pixels(setup):
+def test_a_camera_with_a_small_field_decodes_its_own_pixels(setup: CaptureSetup) -> None:
     small = replace(setup, camera_field=FieldOfView(np.array([-0.1, -0.05]), np.array([0.2, 0.05])), grid=(4, 3))
     captures = simulate_display(small, planar(setup), rng())
     assert len(captures) == 9 * 12
@@ -70,7 +76,7 @@ def test_a_camera_with_a_small_field_decodes_its_own_pixels(setup):
     assert small.field.contains(world.view_dir).all()
 
 
-def test_exact_see_through_captures_are_the_truth_and_cover_the_field(setup):
+def test_exact_see_through_captures_are_the_truth_and_cover_the_field(setup: CaptureSetup) -> None:
     captures = simulate_see_through(setup, planar(setup), rng())
     again = setup.truth.see_through.view_dir_of_real_point(captures.point, captures.viewpoint)
     np.testing.assert_allclose(again.value, captures.view_dir, atol=1e-12)
@@ -85,7 +91,9 @@ def test_exact_see_through_captures_are_the_truth_and_cover_the_field(setup):
 
 
 @pytest.mark.parametrize("errors", [{}, {"stage_error_m": 5e-5, "stage_turn_rad": 1e-4}])
-def test_forward_see_through_captures_satisfy_the_backward_solve(setup, errors):
+def test_forward_see_through_captures_satisfy_the_backward_solve(
+    setup: CaptureSetup, errors: Mapping[str, Any]
+) -> None:
     truth = traced_eye(load_device("freeform40"))
     bent = replace(setup, truth=truth, camera_field=truth.field, grid=(7, 5), **errors)
     at = planar(bent, 5)
@@ -106,7 +114,7 @@ def test_forward_see_through_captures_satisfy_the_backward_solve(setup, errors):
         np.testing.assert_allclose(measured, forward.view_dir[rows], atol=1e-12)
 
 
-def test_forward_see_through_captures_leave_out_points_within_the_optics(setup):
+def test_forward_see_through_captures_leave_out_points_within_the_optics(setup: CaptureSetup) -> None:
     # World rays of freeform40 leave its last surface 32 to 49 mm in front of the eye box.
     truth = traced_eye(load_device("freeform40"))
     near = replace(
@@ -119,7 +127,7 @@ def test_forward_see_through_captures_leave_out_points_within_the_optics(setup):
     assert truth.see_through.view_dir_of_real_point(captures.point, captures.viewpoint).ok.all()
 
 
-def test_camera_noise_is_isotropic_and_of_the_stated_size(setup):
+def test_camera_noise_is_isotropic_and_of_the_stated_size(setup: CaptureSetup) -> None:
     noisy = simulate_display(replace(setup, camera_noise_arcmin=2.0), planar(setup, 20), rng())
     exact = simulate_display(setup, planar(setup, 20), rng())
     error = (noisy.view_dir - exact.view_dir) / directions.ARCMIN
@@ -131,14 +139,14 @@ def test_camera_noise_is_isotropic_and_of_the_stated_size(setup):
     np.testing.assert_array_equal(noisy.sigma_arcmin, 2.0)
 
 
-def test_see_through_noise_has_the_stated_size(setup):
+def test_see_through_noise_has_the_stated_size(setup: CaptureSetup) -> None:
     noisy = simulate_see_through(replace(setup, camera_noise_arcmin=1.0), planar(setup), rng())
     exact = simulate_see_through(setup, planar(setup), rng())
     angle = directions.arcmin_between(noisy.view_dir, exact.view_dir)
     np.testing.assert_allclose(np.sqrt(np.mean(angle**2)), np.sqrt(2.0), rtol=0.03)
 
 
-def test_stage_error_moves_the_camera_and_not_the_report(setup):
+def test_stage_error_moves_the_camera_and_not_the_report(setup: CaptureSetup) -> None:
     at = planar(setup, 400)
     captures = simulate_display(replace(setup, stage_error_m=5e-5, grid=(2, 2)), at, rng())
     np.testing.assert_array_equal(captures.viewpoint, at[captures.capture])
@@ -152,7 +160,7 @@ def test_stage_error_moves_the_camera_and_not_the_report(setup):
     assert np.ptp(same_position[:, 0]) < 1e-4
 
 
-def test_stage_turn_rotates_all_directions_of_a_visit_alike_and_each_visit_on_its_own(setup):
+def test_stage_turn_rotates_all_directions_of_a_visit_alike_and_each_visit_on_its_own(setup: CaptureSetup) -> None:
     turned = replace(setup, stage_turn_rad=1e-4)
     at = planar(setup, 100)
     captures = simulate_display(turned, at, rng())
@@ -167,7 +175,7 @@ def test_stage_turn_rotates_all_directions_of_a_visit_alike_and_each_visit_on_it
     assert np.abs(np.corrcoef(turns[:100].ravel(), turns[100:].ravel())[0, 1]) < 0.2
 
 
-def test_a_turned_camera_with_a_small_field_decodes_what_it_looks_at(setup):
+def test_a_turned_camera_with_a_small_field_decodes_what_it_looks_at(setup: CaptureSetup) -> None:
     small = FieldOfView(np.array([-0.1, -0.05]), np.array([0.2, 0.05]))
     turned = replace(setup, camera_field=small, grid=(4, 3), stage_turn_rad=1e-3)
     captures = simulate_display(turned, planar(setup), rng())
@@ -184,14 +192,14 @@ def _turn(exact, measured):
     return turn
 
 
-def test_captures_of_a_stage_with_errors_never_state_that_they_are_exact(setup):
+def test_captures_of_a_stage_with_errors_never_state_that_they_are_exact(setup: CaptureSetup) -> None:
     for errors, sigma in (({}, 0.0), ({"stage_error_m": 1e-5}, 1e-3), ({"stage_turn_rad": 1e-5}, 1e-3)):
         with_errors = replace(setup, **errors)
         for captures in (take(with_errors, planar(setup), rng()) for take in (simulate_display, simulate_see_through)):
             np.testing.assert_array_equal(captures.sigma_arcmin, sigma)
 
 
-def test_same_seed_gives_the_same_captures(setup):
+def test_same_seed_gives_the_same_captures(setup: CaptureSetup) -> None:
     noisy = replace(setup, camera_noise_arcmin=1.0, stage_error_m=1e-4)
     first, second = (simulate_display(noisy, planar(setup), rng()) for _ in range(2))
     np.testing.assert_array_equal(first.view_dir, second.view_dir)
@@ -209,16 +217,16 @@ def test_same_seed_gives_the_same_captures(setup):
         ({"see_through_rays": "sideways"}, "'see_through_rays' is 'sideways'"),
     ],
 )
-def test_impossible_benches_are_refused(flat_image_headset, fault, words):
+def test_impossible_benches_are_refused(flat_image_headset: Eye, fault: dict[str, Any], words: str) -> None:
     with pytest.raises(BadInputError, match=words):
         CaptureSetup(flat_image_headset, **fault)
 
 
-def test_a_panel_that_nobody_sees_is_said(flat_image_headset):
+def test_a_panel_that_nobody_sees_is_said(flat_image_headset: Eye) -> None:
     class Dark:
         panel = Panel(10, 10)
 
-        def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+        def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start=None) -> QueryResult:
             seen = flat_image_headset.display.view_dir_of_pixel(pixel, viewpoint)
             return replace(seen, value=seen.value * np.nan, status=np.full_like(seen.status, 3))
 

@@ -1,6 +1,9 @@
 """Recordings of OpenXR poses."""
 
 import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import arcmin_between, normalised
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 
@@ -16,29 +20,38 @@ HEADER = {"format": "wlr-openxr-recording", "version": 1}
 DEVICE_FROM_VIEW = transforms.rigid(transforms.rotation_about("x", 0.2), np.array([0.001, -0.02, 0.03]))
 
 
-def line(time_ns, space, base, position=(0.0, 0.0, 0.0), turn=None, flags=15):
+def line(
+    time_ns: int,
+    space: str,
+    base: str,
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    turn: FloatArray | None = None,
+    flags: int = 15,
+) -> dict[str, Any]:
     xyzw = [0.0, 0.0, 0.0, 1.0] if turn is None else Rotation.from_matrix(turn).as_quat().tolist()
     pose = {"orientation": dict(zip("xyzw", xyzw, strict=True)), "position": dict(zip("xyz", position, strict=True))}
     return {"time": time_ns, "space": space, "base_space": base, "locationFlags": flags, "pose": pose}
 
 
-def head(time_ns, position=(0.0, 1.6, 0.0), turn=None, **others):
+def head(
+    time_ns: int, position: tuple[float, float, float] = (0.0, 1.6, 0.0), turn: None = None, **others: Any
+) -> dict[str, Any]:
     return line(time_ns, "view", "stage", position, turn, **others)
 
 
-def eyes(time_ns):
+def eyes(time_ns: int) -> list[dict[str, Any]]:
     return [
         line(time_ns, f"{eye}_view", "view", (side * 0.0315, 0.0, 0.0)) for eye, side in (("left", -1), ("right", 1))
     ]
 
 
-def recorded(folder, *lines, **header):
+def recorded(folder: Path, *lines: object, **header: Any) -> Path:
     path = folder / "recording.jsonl"
     path.write_text("\n".join(map(json.dumps, [HEADER | header, *lines])) + "\n", encoding="utf-8")
     return path
 
 
-def test_poses_of_the_head_are_those_of_view_space_moved_to_the_device(tmp_path):
+def test_poses_of_the_head_are_those_of_view_space_moved_to_the_device(tmp_path: Path) -> None:
     turns = [transforms.rotation_about("y", angle) for angle in (0.0, 0.3)]
     places = [(0.1, 1.6, -0.2), (0.12, 1.61, -0.2)]
     lines = [head(10**9 * k, place, turn) for k, (place, turn) in enumerate(zip(places, turns, strict=True), start=5)]
@@ -52,7 +65,7 @@ def test_poses_of_the_head_are_those_of_view_space_moved_to_the_device(tmp_path)
         np.testing.assert_allclose(view, expected, atol=1e-12)
 
 
-def test_a_recording_without_a_mounting_has_the_poses_of_tum_text(tmp_path):
+def test_a_recording_without_a_mounting_has_the_poses_of_tum_text(tmp_path: Path) -> None:
     turn = transforms.rotation_about("y", 0.3)
     found = read_head_trajectory(recorded(tmp_path, head(0, turn=turn), head(10**9)))
     (tmp_path / "head.tum").write_text(f"0 0 1.6 0 0 {np.sin(0.15)} 0 {np.cos(0.15)}\n1 0 1.6 0 0 0 0 1\n")
@@ -61,7 +74,7 @@ def test_a_recording_without_a_mounting_has_the_poses_of_tum_text(tmp_path):
     )
 
 
-def test_without_gaze_the_pupils_are_at_the_views(tmp_path):
+def test_without_gaze_the_pupils_are_at_the_views(tmp_path: Path) -> None:
     path = recorded(tmp_path, *eyes(0), *eyes(10**9), device_from_view=DEVICE_FROM_VIEW.tolist())
     found = read_eye_trajectory(path)
     right = transforms.apply(DEVICE_FROM_VIEW, np.array([0.0315, 0.0, 0.0]))
@@ -69,7 +82,7 @@ def test_without_gaze_the_pupils_are_at_the_views(tmp_path):
     assert sorted(found.tracks) == ["left", "right"]
 
 
-def test_with_gaze_each_eye_turns_to_the_point_a_metre_along_it(tmp_path):
+def test_with_gaze_each_eye_turns_to_the_point_a_metre_along_it(tmp_path: Path) -> None:
     turn = transforms.rotation_about("y", -0.3)
     gazes = [line(10**9 * k, "gaze", "view", (0.0, 0.01, 0.0), turn) for k in (0, 1)]
     found = read_eye_trajectory(recorded(tmp_path, *eyes(0), *eyes(10**9), *gazes))
@@ -101,7 +114,7 @@ def test_with_gaze_each_eye_turns_to_the_point_a_metre_along_it(tmp_path):
         ),
     ],
 )
-def test_faults_name_the_line(tmp_path, lines, complaint):
+def test_faults_name_the_line(tmp_path: Path, lines: Sequence[dict[str, Any]], complaint: str) -> None:
     with pytest.raises(BadInputError, match=complaint) as got:
         read_head_trajectory(recorded(tmp_path, *lines))
     assert "recording.jsonl" in str(got.value)
@@ -118,12 +131,14 @@ def test_faults_name_the_line(tmp_path, lines, complaint):
         ([*eyes(0), *eyes(10**9)], {"device_from_view": (np.eye(4) + np.eye(4, k=3) * 31).tolist()}, "31"),
     ],
 )
-def test_faults_of_eyes_and_header_are_named(tmp_path, lines, header, complaint):
+def test_faults_of_eyes_and_header_are_named(
+    tmp_path: Path, lines: Sequence[dict[str, Any]], header: dict[str, Any], complaint: str
+) -> None:
     with pytest.raises(BadInputError, match=complaint):
         read_eye_trajectory(recorded(tmp_path, *lines, **header))
 
 
-def test_what_is_no_json_is_named_by_its_line(tmp_path):
+def test_what_is_no_json_is_named_by_its_line(tmp_path: Path) -> None:
     path = recorded(tmp_path, head(0))
     path.write_text(path.read_text() + "time, x, y, z\n")
     with pytest.raises(BadInputError, match=r"recording\.jsonl line 3: cannot be read as an OpenXR recording"):
@@ -133,7 +148,7 @@ def test_what_is_no_json_is_named_by_its_line(tmp_path):
         read_head_trajectory(path)
 
 
-def test_invalid_poses_make_gaps(tmp_path):
+def test_invalid_poses_make_gaps(tmp_path: Path) -> None:
     lines = [head(k * 10_000_000, flags=1 if k == 3 else 15) for k in range(6)]
     lines += [each for k in range(6) for each in eyes(k * 10_000_000)]
     path = recorded(tmp_path, *lines)

@@ -1,18 +1,19 @@
 import numpy as np
 
 from wlr_render.geometry import directions
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking import synthetic
 
 VIEWPOINTS = {"left": np.array([-0.032, 0, -0.03]), "right": np.array([0.032, 0, -0.03])}
 
 
-def angular_speed_deg_s(rotation, rate_hz):
+def angular_speed_deg_s(rotation: FloatArray, rate_hz: float):
     step = np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:]
     cosine = 0.5 * (np.trace(step, axis1=1, axis2=2) - 1)
     return np.rad2deg(np.arccos(np.clip(cosine, -1, 1))) * rate_hz
 
 
-def test_the_same_seed_gives_the_same_wearer_and_another_seed_another():
+def test_the_same_seed_gives_the_same_wearer_and_another_seed_another() -> None:
     first, again, other = (synthetic.head_motion(seed, 1.0) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.at(0.5), again.at(0.5))
     assert np.abs(first.at(0.5) - other.at(0.5)).max() > 1e-3
@@ -21,7 +22,7 @@ def test_the_same_seed_gives_the_same_wearer_and_another_seed_another():
     assert np.abs(gazes[0] - gazes[2]).max() > 1e-5
 
 
-def test_the_head_stays_near_the_origin_and_turns_slowly():
+def test_the_head_stays_near_the_origin_and_turns_slowly() -> None:
     for seed in range(5):
         pose = synthetic.head_motion(seed, 20.0, rate_hz=90.0).at(np.arange(0, 1800) / 90.0)
         assert np.abs(pose[:, :3, 3]).max() <= 0.05
@@ -30,7 +31,7 @@ def test_the_head_stays_near_the_origin_and_turns_slowly():
         assert pose[:, 2, 2].min() > np.cos(np.deg2rad(14))
 
 
-def test_the_eyes_fixate_and_leap_and_their_gazes_meet():
+def test_the_eyes_fixate_and_leap_and_their_gazes_meet() -> None:
     eyes = synthetic.eye_motion(VIEWPOINTS, 7, 10.0, rate_hz=500.0)
     left, right = eyes.tracks["left"], eyes.tracks["right"]
     speed = np.rad2deg(directions.angle_between(right.gaze_dir[:-1], right.gaze_dir[1:])) * 500.0

@@ -22,7 +22,7 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def test_tum_round_trip(tmp_path):
+def test_tum_round_trip(tmp_path: Path) -> None:
     head = synthetic.head_motion(3, duration_s=1.0)
     back = read_head_trajectory(write_head_trajectory_tum(tmp_path / "head.tum", head))
     np.testing.assert_array_equal(back.time_s, head.time_s)
@@ -30,7 +30,7 @@ def test_tum_round_trip(tmp_path):
     np.testing.assert_allclose(back.world_from_device_xyzw, head.world_from_device_xyzw, atol=1e-15)
 
 
-def test_tum_and_euroc_of_one_motion_agree(tmp_path):
+def test_tum_and_euroc_of_one_motion_agree(tmp_path: Path) -> None:
     tum = written(tmp_path, "# comment\n\n1.0 1 2 3 0 0.6 0 0.8\n1.5\t2 2 3 0 0 0 1\n")
     first = read_head_trajectory(tum)
     biases = ",0" * 9
@@ -45,7 +45,7 @@ def test_tum_and_euroc_of_one_motion_agree(tmp_path):
     np.testing.assert_allclose(quarter, [-0.96, 0, -0.28], atol=1e-15)
 
 
-def test_euroc_as_monado_writes_it_is_read(tmp_path):
+def test_euroc_as_monado_writes_it_is_read(tmp_path: Path) -> None:
     """Its recorder ends lines with CR LF, and pads nothing."""
     path = tmp_path / "data.csv"
     rows = "#timestamp [ns],p_RS_R_x [m]\r\n1000000000,1,2,3,0.8,0,0.6,0\r\n1500000000,2,2,3,1,0,0,0\r\n"
@@ -53,7 +53,7 @@ def test_euroc_as_monado_writes_it_is_read(tmp_path):
     np.testing.assert_allclose(read_head_trajectory(path).position_in_world, [[1, 2, 3], [2, 2, 3]])
 
 
-def test_a_quaternion_rounded_in_print_is_normalised(tmp_path):
+def test_a_quaternion_rounded_in_print_is_normalised(tmp_path: Path) -> None:
     head = read_head_trajectory(written(tmp_path, "0 0 0 0 0 0.6004 0 0.8\n1 0 0 0 0 0 0 1\n"))
     np.testing.assert_allclose(np.linalg.norm(head.world_from_device_xyzw, axis=1), 1, atol=1e-15)
 
@@ -63,7 +63,15 @@ POSES = [[0, 0.01, 2, 3, 0, 0.6, 0, 0.8], [0.5, 0.02, 2, 3, 0, 0, 0, 1]]
 NAMES = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
-def table(header, separator=",", order=range(8), scale=(1, 1), lead="", comma=False, ends="\n"):
+def table(
+    header: str,
+    separator: str = ",",
+    order: range | tuple[int, ...] = range(8),
+    scale: tuple[float, int] = (1, 1),
+    lead: str = "",
+    comma: bool = False,
+    ends: str = "\n",
+) -> str:
     """POSES as a table with a header; `order` of the columns, `scale` of times and lengths."""
     rows = (np.array(POSES) * [scale[0], *[scale[1]] * 3, 1, 1, 1, 1]).tolist()
     lines = [separator.join(f"{row[column]:.12g}" for column in order) for row in rows]
@@ -110,7 +118,7 @@ NS = (10**9, 1)
         "time_s,frame,x,y,z,qx,qy,qz,qw\n0,7,1e-2,+2,3.,0,.6,0,8E-1,\n.5,8,0.02,2,3,-0,0,0,-1,\n",
     ],
 )  # fmt: skip
-def test_a_header_decides_what_the_columns_are(tmp_path, text):
+def test_a_header_decides_what_the_columns_are(tmp_path: Path, text: str) -> None:
     path = tmp_path / "track.txt"
     path.write_bytes(text.encode())
     head = read_head_trajectory(path)
@@ -120,7 +128,7 @@ def test_a_header_decides_what_the_columns_are(tmp_path, text):
     np.testing.assert_allclose(again, np.array(POSES)[:, 4:], atol=1e-12)
 
 
-def test_an_eye_track_of_ours_may_have_decimal_commas(tmp_path):
+def test_an_eye_track_of_ours_may_have_decimal_commas(tmp_path: Path) -> None:
     for row in (
         "{},5;right;0,0300;0,0001;-0,03\n",
         "{},5 right 0,0300 0,0001 -0,03\n",
@@ -130,7 +138,7 @@ def test_an_eye_track_of_ours_may_have_decimal_commas(tmp_path):
         np.testing.assert_allclose(eyes.viewpoint_at("right", 1.0), [0.03, 0.0001, -0.03])
 
 
-def test_columns_that_are_not_read_are_named(tmp_path):
+def test_columns_that_are_not_read_are_named(tmp_path: Path) -> None:
     row = "0,1,2,3,0,0,0,1,9,9\n"
     header = "time_s,x,y,z,qx,qy,qz,qw,confidence,v_RS_R_x [m s^-1]\n"
     assert read_head_trajectory(written(tmp_path, header + row + "1" + row[1:])).unread == ("confidence",)
@@ -139,7 +147,7 @@ def test_columns_that_are_not_read_are_named(tmp_path):
     assert read_head_trajectory(written(tmp_path, GOOD + "1" + GOOD[1:])).unread == ()
 
 
-def test_nanoseconds_since_1970_are_not_rounded_before_they_are_divided(tmp_path):
+def test_nanoseconds_since_1970_are_not_rounded_before_they_are_divided(tmp_path: Path) -> None:
     stamps = [1403715273262142976, 1403715273267142976, 1403715273272142976]
     for header in ("#timestamp_ns,x,y,z,qx,qy,qz,qw", "timestamp,x,y,z,qx,qy,qz,qw"):
         rows = "".join(f"{stamp},0,0,0,0,0,0,1\n" for stamp in stamps)
@@ -176,13 +184,13 @@ def test_nanoseconds_since_1970_are_not_rounded_before_they_are_divided(tmp_path
         ("time_s,x,y,z,qx,qy,qz,qw\n", "no rows"),
     ],
 )
-def test_a_header_that_is_not_understood_is_refused(tmp_path, text, complaint):
+def test_a_header_that_is_not_understood_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
     with pytest.raises(BadInputError, match=r"track\.txt") as caught:
         read_head_trajectory(written(tmp_path, text))
     assert complaint in str(caught.value)
 
 
-def test_of_two_times_the_stamp_or_the_finer_unit_is_read(tmp_path):
+def test_of_two_times_the_stamp_or_the_finer_unit_is_read(tmp_path: Path) -> None:
     pose = ",0,0,0,0,0,0,1\n"
     names = [f"field.pose.position.{axis}" for axis in "xyz"] + [f"field.pose.orientation.{axis}" for axis in "xyzw"]
     ros = ",".join(("%time,field.header.seq,field.header.stamp,field.header.frame_id", *names))
@@ -202,13 +210,13 @@ def test_of_two_times_the_stamp_or_the_finer_unit_is_read(tmp_path):
 
 
 @pytest.mark.parametrize("names", ["stamp_sec,stamp_nsec", "time_s,time_ns", "system_time_s,device_time_s"])
-def test_of_two_times_that_are_not_the_same_moments_none_is_chosen(tmp_path, names):
+def test_of_two_times_that_are_not_the_same_moments_none_is_chosen(tmp_path: Path, names: str) -> None:
     rows = "".join(f"{100 + n},{n}00000000,0,0,0,0,0,0,1\n" for n in (1, 2))
     with pytest.raises(BadInputError, match="are both time; keep one"):
         read_head_trajectory(written(tmp_path, f"{names},x,y,z,qx,qy,qz,qw\n{rows}"))
 
 
-def test_quotes_that_no_table_has_are_refused_with_their_line(tmp_path):
+def test_quotes_that_no_table_has_are_refused_with_their_line(tmp_path: Path) -> None:
     text = 'time_s,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,"' + 200_000 * "1"
     with pytest.raises(BadInputError, match=r"track\.txt line 2: "):
         read_head_trajectory(written(tmp_path, text))
@@ -242,14 +250,14 @@ GOOD = "0 0 0 0 0 0 0 1\n"
         ("1.5,0,0,0,1,0,0,0\n", "line 1: time '1.5' is not in integer nanoseconds"),
     ],
 )
-def test_a_faulty_head_file_is_refused_with_its_line(tmp_path, text, complaint):
+def test_a_faulty_head_file_is_refused_with_its_line(tmp_path: Path, text: str, complaint: str) -> None:
     path = written(tmp_path, text)
     with pytest.raises(BadInputError, match=r"track\.txt") as caught:
         read_head_trajectory(path)
     assert complaint in str(caught.value)
 
 
-def test_a_missing_or_binary_file_is_refused(tmp_path):
+def test_a_missing_or_binary_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"none\.tum: there is no such file"):
         read_head_trajectory(tmp_path / "none.tum")
     (tmp_path / "binary.tum").write_bytes(bytes([0xFF, 0xFE, 0x80]))
@@ -257,7 +265,7 @@ def test_a_missing_or_binary_file_is_refused(tmp_path):
         read_head_trajectory(tmp_path / "binary.tum")
 
 
-def test_gaze_round_trip(tmp_path):
+def test_gaze_round_trip(tmp_path: Path) -> None:
     eyes = synthetic.eye_motion({"left": np.array([-0.03, 0, -0.02]), "right": np.array([0.03, 0, -0.02])}, 5, 1.0)
     back = read_eye_trajectory(write_eye_trajectory(tmp_path / "gaze.txt", eyes))
     moment = np.linspace(0, 1, 77)
@@ -265,7 +273,7 @@ def test_gaze_round_trip(tmp_path):
         np.testing.assert_allclose(back.viewpoint_at(eye, moment), eyes.viewpoint_at(eye, moment), atol=1e-17)
 
 
-def test_viewpoint_round_trip_of_eyes_sampled_at_different_times(tmp_path):
+def test_viewpoint_round_trip_of_eyes_sampled_at_different_times(tmp_path: Path) -> None:
     rng = np.random.default_rng(6)
     left = ViewpointTrack(np.array([0.0, 0.3, 1.0]), 0.01 * rng.normal(size=(3, 3)))
     right = ViewpointTrack(np.array([0.1, 0.3]), 0.01 * rng.normal(size=(2, 3)))
@@ -276,7 +284,7 @@ def test_viewpoint_round_trip_of_eyes_sampled_at_different_times(tmp_path):
     np.testing.assert_array_equal(back.viewpoint_at("right", [0.1, 0.2]), right.viewpoint_at([0.1, 0.2]))
 
 
-def test_a_gaze_file_states_its_eye_model(tmp_path):
+def test_a_gaze_file_states_its_eye_model(tmp_path: Path) -> None:
     rows = "0 left 0 0 -1\n1 left 0 0 -1\n"
     default = read_eye_trajectory(written(tmp_path, GAZE_HEADER + rows))
     np.testing.assert_allclose(default.viewpoint_at("left", 0.5), [-0.03, 0, -0.0305], atol=1e-17)
@@ -303,20 +311,20 @@ PUPILS = "time_s,left_x_mm,left_y_mm,left_z_mm,right_x_mm,right_y_mm,right_z_mm"
         "right_pupil_z [m]\n0,-3.2,.1,-3,.032,.001,-.03\n.5,-3.3,.1,-3,.032,.001,-.03\n",
     ],
 )
-def test_a_pupil_table_with_named_columns_is_read(tmp_path, text):
+def test_a_pupil_table_with_named_columns_is_read(tmp_path: Path, text: str) -> None:
     eyes = read_eye_trajectory(written(tmp_path, text))
     np.testing.assert_allclose(eyes.viewpoint_at("left", [0, 0.5]), [[-0.032, 0.001, -0.03], [-0.033, 0.001, -0.03]])
     np.testing.assert_allclose(eyes.viewpoint_at("right", 0.5), [0.032, 0.001, -0.03])
 
 
-def test_an_eye_of_which_no_position_is_named_is_not_asked_for(tmp_path):
+def test_an_eye_of_which_no_position_is_named_is_not_asked_for(tmp_path: Path) -> None:
     text = "time_s,left_x_mm,left_y_mm,left_z_mm,right_confidence\n0,-32,1,-30,0.5\n1,-32,1,-30,0.5\n"
     eyes = read_eye_trajectory(written(tmp_path, text))
     assert list(eyes.tracks) == ["left"]
     assert eyes.unread == ("right_confidence",)
 
 
-def test_an_eye_without_numbers_was_not_tracked(tmp_path):
+def test_an_eye_without_numbers_was_not_tracked(tmp_path: Path) -> None:
     row = ",-32,1,-30,32,1,-30\n"
     text = f"{PUPILS}\n0{row}0.1,,,,32,1,-30\n0.2{row}0.3{row}"
     eyes = read_eye_trajectory(written(tmp_path, text))
@@ -340,7 +348,7 @@ def test_an_eye_without_numbers_was_not_tracked(tmp_path):
         ("0,1,2,3\n", "or name its columns in the first line, such as time_s,left_x_mm,left_y_mm,left_z_mm"),
     ],
 )  # fmt: skip
-def test_a_faulty_pupil_table_is_refused(tmp_path, text, complaint):
+def test_a_faulty_pupil_table_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
     with pytest.raises(BadInputError, match=r"track\.txt") as caught:
         read_eye_trajectory(written(tmp_path, text))
     assert complaint in str(caught.value)
@@ -367,21 +375,21 @@ def test_a_faulty_pupil_table_is_refused(tmp_path, text, complaint):
         (GAZE_HEADER + "# pupil_distance_m: far\n0 left 0 0 -1\n1 left 0 0 -1\n", "header '# pupil_distance_m:' must"),
     ],
 )
-def test_a_faulty_eye_file_is_refused(tmp_path, text, complaint):
+def test_a_faulty_eye_file_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
     path = written(tmp_path, text)
     with pytest.raises(BadInputError, match=r"track\.txt") as caught:
         read_eye_trajectory(path)
     assert complaint in str(caught.value)
 
 
-def test_one_file_cannot_hold_two_kinds_of_eye(tmp_path):
+def test_one_file_cannot_hold_two_kinds_of_eye(tmp_path: Path) -> None:
     time_s, xyz = np.array([0.0, 1.0]), np.array([[0, 0, -1.0], [0, 0, -1.0]])
     mixed = {"left": ViewpointTrack(time_s, xyz), "right": GazeTrack(time_s, xyz, RotatingEye(np.zeros(3)))}
     with pytest.raises(BadInputError, match="of one kind"):
         write_eye_trajectory(tmp_path / "eyes.txt", EyeTrajectory(mixed))
 
 
-def test_a_comment_with_the_usual_order_of_the_quaternion_is_no_header(tmp_path):
+def test_a_comment_with_the_usual_order_of_the_quaternion_is_no_header(tmp_path: Path) -> None:
     path = tmp_path / "head.tum"
     path.write_text("# position, then quaternion: qx qy qz qw\n0 1 2 3 1 0 0 0\n1 1 2 3 1 0 0 0\n")
     np.testing.assert_array_equal(read_head_trajectory(path).world_from_device_xyzw[0], [1, 0, 0, 0])

@@ -1,10 +1,12 @@
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.tracking.viewpoint_filter import LID_S, TrackingState, ViewpointFilter
@@ -14,18 +16,20 @@ HOLD_S, FADE_S = 0.05, 0.08
 TRACKED, HELD, FADING, LOST = TrackingState
 
 
-def new_filter():
+def new_filter() -> ViewpointFilter:
     return ViewpointFilter(NOMINAL, hold_s=HOLD_S, fade_s=FADE_S)
 
 
-def fixate(viewpoint_filter, viewpoint, start_s, end_s, rate_hz=200.0):
+def fixate(
+    viewpoint_filter: ViewpointFilter, viewpoint: NDArray[Any], start_s: float, end_s: float, rate_hz: float = 200.0
+) -> float:
     """Good samples of an eye at rest; the last time."""
     for time_s in np.arange(start_s, end_s, 1 / rate_hz):
         viewpoint_filter.update(time_s, viewpoint)
     return time_s
 
 
-def dragged_into_a_blink(viewpoint, drag_m=0.002):
+def dragged_into_a_blink(viewpoint: NDArray[Any], drag_m: float = 0.002) -> tuple[Any, Any, Any]:
     """A filter whose eye rested 0.3 s and was then dragged down by the lid for 25 ms; the last time and sample."""
     viewpoint_filter = new_filter()
     rest_s = fixate(viewpoint_filter, viewpoint, 0.0, 0.3)
@@ -43,7 +47,7 @@ steps = st.lists(st.tuples(st.floats(0.0, 0.15), samples, st.floats(0, 1)), min_
 @pytest.mark.slow
 @given(steps)
 @settings(max_examples=200, deadline=None)
-def test_whatever_comes_the_viewpoint_is_among_the_usable_samples_or_nominal(stream):
+def test_whatever_comes_the_viewpoint_is_among_the_usable_samples_or_nominal(stream) -> None:
     viewpoint_filter, time_s, usable = new_filter(), 0.0, []
     for step_s, offset, confidence in stream:
         time_s += step_s
@@ -58,7 +62,7 @@ def test_whatever_comes_the_viewpoint_is_among_the_usable_samples_or_nominal(str
     assert viewpoint_filter.counts.total == len(stream)
 
 
-def test_a_jump_is_followed_in_the_same_update():
+def test_a_jump_is_followed_in_the_same_update() -> None:
     viewpoint_filter = new_filter()
     last_s = fixate(viewpoint_filter, NOMINAL, 0.0, 0.3)
     leap = NOMINAL + [0.008, -0.004, 0.002]
@@ -68,7 +72,7 @@ def test_a_jump_is_followed_in_the_same_update():
 
 
 @pytest.mark.parametrize("gap_s", [0.01, HOLD_S + 0.5 * FADE_S, 10.0])
-def test_the_first_good_sample_after_a_gap_is_followed_at_once(gap_s):
+def test_the_first_good_sample_after_a_gap_is_followed_at_once(gap_s: float) -> None:
     viewpoint_filter, last_s, _ = dragged_into_a_blink(NOMINAL)
     viewpoint_filter.update(last_s + 0.9 * gap_s, None)
     back = NOMINAL + [0.003, 0, 0]
@@ -88,7 +92,7 @@ def test_the_first_good_sample_after_a_gap_is_followed_at_once(gap_s):
         (NOMINAL, math.nan),
     ],
 )
-def test_an_unusable_sample_is_held_over(sample, confidence):
+def test_an_unusable_sample_is_held_over(sample: ArrayLike | None, confidence: float) -> None:
     viewpoint_filter = new_filter()
     seen = NOMINAL + [0.001, 0.002, 0.003]
     viewpoint_filter.update(0.0, seen)
@@ -97,7 +101,7 @@ def test_an_unusable_sample_is_held_over(sample, confidence):
     assert result.state == HELD
 
 
-def test_held_then_fading_then_lost_exactly_where_the_eye_was_before_the_lid_came_down():
+def test_held_then_fading_then_lost_exactly_where_the_eye_was_before_the_lid_came_down() -> None:
     rest = NOMINAL + [0.002, 0.001, 0.0]
     viewpoint_filter, last_s, last = dragged_into_a_blink(rest)
     results = {gap_s: viewpoint_filter.update(last_s + gap_s, None) for gap_s in (0.049, 0.051, 0.129, 0.131, 60.0)}
@@ -107,14 +111,14 @@ def test_held_then_fading_then_lost_exactly_where_the_eye_was_before_the_lid_cam
         np.testing.assert_array_equal(results[gap_s].viewpoint, rest)
 
 
-def test_single_wild_samples_do_not_move_the_place_that_the_fade_ends_at():
+def test_single_wild_samples_do_not_move_the_place_that_the_fade_ends_at() -> None:
     viewpoint_filter = new_filter()
     for index, time_s in enumerate(np.arange(60) * 0.005):
         viewpoint_filter.update(time_s, NOMINAL + [0.015 if index % 5 == 4 else 0.001, 0, 0])
     np.testing.assert_allclose(viewpoint_filter.update(5.0, None).viewpoint, NOMINAL + [0.001, 0, 0], atol=1e-16)
 
 
-def test_through_a_loss_the_viewpoint_moves_without_a_jump_no_faster_than_minimum_jerk_does():
+def test_through_a_loss_the_viewpoint_moves_without_a_jump_no_faster_than_minimum_jerk_does() -> None:
     viewpoint_filter, last_s, last = dragged_into_a_blink(NOMINAL)
     gap_s = np.arange(0.0, 0.2, 0.0005)
     path = np.array([viewpoint_filter.update(last_s + gap, None).viewpoint for gap in gap_s])
@@ -125,7 +129,7 @@ def test_through_a_loss_the_viewpoint_moves_without_a_jump_no_faster_than_minimu
     assert acceleration.max() < 6 * np.linalg.norm(NOMINAL - last) / FADE_S**2
 
 
-def test_samples_while_the_lid_goes_up_are_followed_but_not_trusted():
+def test_samples_while_the_lid_goes_up_are_followed_but_not_trusted() -> None:
     viewpoint_filter, last_s, _ = dragged_into_a_blink(NOMINAL)
     viewpoint_filter.update(last_s + 0.2, None)
     opening_s = last_s + 0.25
@@ -134,7 +138,7 @@ def test_samples_while_the_lid_goes_up_are_followed_but_not_trusted():
     np.testing.assert_array_equal(viewpoint_filter.update(opening_s + 5.0, None).viewpoint, NOMINAL)
 
 
-def test_after_the_lid_went_up_the_new_place_is_trusted():
+def test_after_the_lid_went_up_the_new_place_is_trusted() -> None:
     viewpoint_filter, last_s, _ = dragged_into_a_blink(NOMINAL)
     viewpoint_filter.update(last_s + 0.2, None)
     place = NOMINAL + [0.004, 0, 0]
@@ -142,7 +146,7 @@ def test_after_the_lid_went_up_the_new_place_is_trusted():
     np.testing.assert_array_equal(viewpoint_filter.update(end_s + 5.0, None).viewpoint, place)
 
 
-def test_a_tracker_that_misses_every_other_sample_is_trusted_all_the_same():
+def test_a_tracker_that_misses_every_other_sample_is_trusted_all_the_same() -> None:
     viewpoint_filter = new_filter()
     place = NOMINAL + [0.004, 0, 0]
     for index in range(40):
@@ -151,7 +155,7 @@ def test_a_tracker_that_misses_every_other_sample_is_trusted_all_the_same():
     np.testing.assert_array_equal(viewpoint_filter.update(5.0, None).viewpoint, place)
 
 
-def test_an_eye_never_seen_is_at_the_nominal_viewpoint_and_one_seen_too_briefly_stays_where_it_was():
+def test_an_eye_never_seen_is_at_the_nominal_viewpoint_and_one_seen_too_briefly_stays_where_it_was() -> None:
     viewpoint_filter = new_filter()
     unseen = viewpoint_filter.update(0.0, None)
     np.testing.assert_array_equal(unseen.viewpoint, NOMINAL)
@@ -161,7 +165,7 @@ def test_an_eye_never_seen_is_at_the_nominal_viewpoint_and_one_seen_too_briefly_
     np.testing.assert_array_equal(viewpoint_filter.update(5.0, None).viewpoint, glimpse)
 
 
-def test_two_eyes_do_not_know_of_each_other():
+def test_two_eyes_do_not_know_of_each_other() -> None:
     rng = np.random.default_rng(3)
     streams = [
         [(0.01 * k, None if rng.random() < 0.3 else NOMINAL + rng.uniform(-0.01, 0.01, 3)) for k in range(200)]
@@ -179,7 +183,7 @@ def test_two_eyes_do_not_know_of_each_other():
     np.testing.assert_array_equal(np.swapaxes(together, 0, 1), alone)
 
 
-def test_what_the_caller_does_to_its_arrays_does_not_reach_the_filter():
+def test_what_the_caller_does_to_its_arrays_does_not_reach_the_filter() -> None:
     viewpoint_filter, sample = new_filter(), NOMINAL.copy()
     first = viewpoint_filter.update(0.0, sample)
     sample += 1.0
@@ -187,7 +191,7 @@ def test_what_the_caller_does_to_its_arrays_does_not_reach_the_filter():
     np.testing.assert_array_equal(viewpoint_filter.update(0.01, None).viewpoint, NOMINAL)
 
 
-def test_the_counts_are_of_the_states_that_were_returned():
+def test_the_counts_are_of_the_states_that_were_returned() -> None:
     viewpoint_filter, last_s, _ = dragged_into_a_blink(NOMINAL)
     before = viewpoint_filter.counts
     for gap_s in (0.01, 0.02, 0.1, 0.2, 0.3, 0.4):
@@ -208,7 +212,9 @@ def test_the_counts_are_of_the_states_that_were_returned():
         (1.0, "ahead", "three numbers"),
     ],
 )
-def test_a_refused_update_leaves_the_filter_as_it_was(time_s, sample, complaint):
+def test_a_refused_update_leaves_the_filter_as_it_was(
+    time_s: float, sample: ArrayLike | str | None, complaint: str
+) -> None:
     disturbed, last_s, _ = dragged_into_a_blink(NOMINAL)
     untouched = dragged_into_a_blink(NOMINAL)[0]
     with pytest.raises(BadInputError, match=complaint):
@@ -232,6 +238,6 @@ def test_a_refused_update_leaves_the_filter_as_it_was(time_s, sample, complaint)
         ({"min_confidence": math.nan}, "min_confidence"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(changes, complaint):
+def test_settings_that_make_no_sense_are_refused(changes: dict[str, Any], complaint: str) -> None:
     with pytest.raises(BadInputError, match=complaint):
         ViewpointFilter(**{"nominal_in_device": NOMINAL, **changes})

@@ -1,18 +1,25 @@
 """Warps by the shipped shaders, and what judges them: a scene of two planes, in closed form."""
 
 from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from warps.composing import HEAD
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.gl import gl
+from wlr_render.gl.context import GlContext
 from wlr_render.io.atomic_files import resource
-from wlr_render.mappings import Panel
+from wlr_render.mappings import Eye, Panel
+from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
+from wlr_render.warp.eye_camera import EyeCamera
 from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.ray_map import solve_pixels
 from wlr_render.warp.stored_picture import StoredDepth
+from wlr_render.warp.warp_mesh import WarpMesh
 
 NEAR_M = 0.05
 WALL_M, CARD_M = 2.0, 0.6
@@ -21,7 +28,7 @@ _GL_SRGB8 = 0x8C41
 _HEAD_FROM_WORLD = transforms.inverse(HEAD)
 
 
-def hit(origin, direction):
+def hit(origin: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Points (..., 3) in the world and whether the card is met, of rays there; the planes face HEAD."""
     origin, direction = transforms.apply(_HEAD_FROM_WORLD, origin), transforms.rotate(_HEAD_FROM_WORLD, direction)
     on_card = origin - direction * ((origin[..., 2:] + CARD_M) / direction[..., 2:])
@@ -30,28 +37,35 @@ def hit(origin, direction):
     return transforms.apply(HEAD, np.where(is_card[..., None], on_card, on_wall)), is_card
 
 
-def light(point, is_card):
+def light(point: FloatArray, is_card: BoolArray) -> FloatArray:
     """Linear (..., 3): waves that are some twenty pixels long."""
     point = transforms.apply(_HEAD_FROM_WORLD, point)
     wave = 0.5 + 0.4 * np.sin(point * [20.0, 17.0, 0.0] * np.where(is_card, 3.0, 1.0)[..., None] + [0.0, 1.0, 0.5])
     return np.stack([wave[..., 0], wave[..., 1], 0.25 + 0.5 * is_card], axis=-1)
 
 
-def seen_by(camera, pixel):
+def seen_by(camera: EyeCamera, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
     """`hit` of positions (..., 2) in the picture of an EyeCamera."""
     in_camera = dir_of_tangents(camera.view.camera.tangents_of_pixel(pixel))
     direction = transforms.rotate(camera.world_from_camera, in_camera)
     return hit(np.broadcast_to(camera.view.position_in_world, direction.shape), direction)
 
 
-def drawn(camera):
+def drawn(camera: EyeCamera) -> tuple[FloatArray, Float32Array]:
     """(linear colour (h, w, 3), depth buffer (h, w) float32 with 0 at NEAR_M and 1 at infinity) of an EyeCamera."""
     point, is_card = seen_by(camera, WarpGrid.of_pixels(Panel(*camera.size_px)).panel_pixel())
     depth_m = -transforms.apply(camera.camera_from_world, point)[..., 2]
     return light(point, is_card), (1 - NEAR_M / depth_m).astype(np.float32)
 
 
-def expected_source(mappings, axes, size_px, camera, viewpoint, pose):
+def expected_source(
+    mappings: Eye,
+    axes: FloatArray,
+    size_px: tuple[int, int],
+    camera: EyeCamera,
+    viewpoint: FloatArray,
+    pose: FloatArray,
+) -> FloatArray:
     """Positions (h, w, 2) in the picture, by the exact rays; NaN where the picture does not show the point.
 
     A point within two pixels of a silhouette, in the picture or on the display, counts as not shown.
@@ -94,7 +108,7 @@ class Warp:
 class OpenGl:
     """The few calls that draw a mesh with `own_warp.glsl`."""
 
-    def __init__(self, context):
+    def __init__(self, context: GlContext) -> None:
         self._context = context
         text = resource("shaders", "own_warp.glsl").read_text(encoding="utf-8")
         self._vertex = "#version 420\n#define VERTEX_STAGE\n" + text
@@ -102,7 +116,9 @@ class OpenGl:
         source = "void main() { colour = vec4(source_of_ray(), 1); }"
         self._shaders = {"fragment": fragment, "only_source": fragment.replace("void main()", "void none()") + source}
 
-    def drawn(self, entry, warp, size, mesh, rays, rows_up=False):
+    def drawn(
+        self, entry: str, warp: Warp, size: tuple[int, int], mesh: WarpMesh, rays: Float32Array, rows_up: bool = False
+    ) -> Float32Array:
         """(height, width, 3) of what a shader writes, for a picture with its top or its bottom row first."""
         (height, width), rows = warp.depth.shape, slice(None, None, -1 if rows_up else 1)
         block = np.zeros(32, np.float32)  # std140
@@ -145,12 +161,12 @@ fn only_source(corner: Corner) -> @location(0) vec4f { return vec4f(source_of(co
 class WebGpu:
     """The few calls that draw a mesh with `own_warp.wgsl`."""
 
-    def __init__(self, wgpu):
+    def __init__(self, wgpu: ModuleType) -> None:
         self.wgpu, self.device = wgpu, wgpu.gpu.request_adapter_sync().request_device_sync()
         text = resource("shaders", "own_warp.wgsl").read_text(encoding="utf-8")
         self.module = self.device.create_shader_module(code=text + WGSL_SOURCE)
 
-    def texture(self, values, kind):
+    def texture(self, values: Float32Array | NDArray[np.uint8], kind: str) -> Any:
         """Of an array (height, width) or (height, width, 4)."""
         size = (values.shape[1], values.shape[0], 1)
         texture = self.device.create_texture(size=size, format=kind, usage="TEXTURE_BINDING | COPY_DST")
@@ -158,7 +174,7 @@ class WebGpu:
         self.device.queue.write_texture({"texture": texture}, np.ascontiguousarray(values), layout, size)
         return texture.create_view()
 
-    def drawn(self, entry, warp, size, mesh, rays):
+    def drawn(self, entry: str, warp: Warp, size: tuple[int, int], mesh: WarpMesh, rays: Float32Array) -> Float32Array:
         """(height, width, 3) of what an entry point writes."""
         codes = np.dstack([warp.codes, np.full_like(warp.codes[..., :1], 255)])
         picture, depth = self.texture(codes, "rgba8unorm-srgb"), self.texture(warp.depth, "r32float")

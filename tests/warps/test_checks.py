@@ -2,10 +2,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from present import present
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EYE_BOX_MARGIN, Panel
+from wlr_render.mappings import EYE_BOX_MARGIN, Eye, Panel
 from wlr_render.warp.checks import (
     REACH,
     checked_background,
@@ -17,18 +18,18 @@ from wlr_render.warp.checks import (
 )
 
 
-def left_of(eye):
+def left_of(eye: Eye) -> Eye:
     return dataclasses.replace(eye, eye="left")
 
 
-def test_one_eye_needs_no_name_and_the_left_one_comes_first(flat_image_headset):
+def test_one_eye_needs_no_name_and_the_left_one_comes_first(flat_image_headset: Eye) -> None:
     assert checked_models(flat_image_headset) == {"right": (flat_image_headset,)}
     assert checked_models([flat_image_headset] * 3) == {"right": (flat_image_headset,) * 3}
     both = {"right": flat_image_headset, "left": [left_of(flat_image_headset)] * 3}
     assert [(eye, len(channels)) for eye, channels in checked_models(both).items()] == [("left", 3), ("right", 1)]
 
 
-def test_models_that_do_not_belong_together_are_refused(flat_image_headset):
+def test_models_that_do_not_belong_together_are_refused(flat_image_headset: Eye) -> None:
     wide = dataclasses.replace(flat_image_headset.display, panel=Panel(7, 5))
     other_panel = dataclasses.replace(flat_image_headset, display=wide)
     elsewhere = dataclasses.replace(flat_image_headset.eye_box, centre=flat_image_headset.eye_box.centre + 0.001)
@@ -43,25 +44,25 @@ def test_models_that_do_not_belong_together_are_refused(flat_image_headset):
         ({"right": [flat_image_headset, "green", flat_image_headset]}, "str is not a model"),
     ):
         with pytest.raises(BadInputError, match=words):
-            checked_models(models)
+            checked_models(present(models))
 
 
 @pytest.mark.parametrize(
     "size", [(0, 5), (4.5, 3), (5,), 5, (5, 4, 3), (-2, 2), (np.nan, 2), (np.inf, 2), "360x400"], ids=str
 )
-def test_a_size_that_is_none_is_refused(size):
+def test_a_size_that_is_none_is_refused(size: int | str | tuple[float, ...]) -> None:
     with pytest.raises(BadInputError, match="width, height"):
         checked_size(size)
 
 
 @pytest.mark.parametrize("colour", [(0, 0, 256), (0, -1, 0), (0.5, 0.5, 0.5), (1, 2), "red", None], ids=str)
-def test_a_background_that_is_no_colour_is_refused(colour):
+def test_a_background_that_is_no_colour_is_refused(colour: str | tuple[float, ...] | None) -> None:
     assert checked_background(np.array([1, 2, 255], np.uint8)) == (1, 2, 255)
     with pytest.raises(BadInputError, match=r"sRGB codes|not made of numbers"):
-        checked_background(colour)
+        checked_background(present(colour))
 
 
-def test_a_pose_is_a_rotation_and_a_translation():
+def test_a_pose_is_a_rotation_and_a_translation() -> None:
     good = transforms.rigid(transforms.rotation_about("y", 0.3), np.array([5.0, -3.0, 2.0]))
     np.testing.assert_array_equal(checked_pose(good), good)
     lost, scaled, far = good.copy(), good.copy(), good.copy()
@@ -81,10 +82,10 @@ def test_a_pose_is_a_rotation_and_a_translation():
         (far, "metres"),
     ):
         with pytest.raises(BadInputError, match=words):
-            checked_pose(bad)
+            checked_pose(present(bad))
 
 
-def test_a_rotation_that_was_rounded_is_made_one():
+def test_a_rotation_that_was_rounded_is_made_one() -> None:
     exact = np.eye(4)
     exact[:3, :3] = transforms.rotation_about("y", 0.7) @ transforms.rotation_about("x", -0.3)
     rotation = checked_pose(exact + 2e-5 * np.pad(np.random.default_rng(1).uniform(-1, 1, (3, 3)), (0, 1)))[:3, :3]
@@ -92,7 +93,7 @@ def test_a_rotation_that_was_rounded_is_made_one():
     np.testing.assert_allclose(rotation, exact[:3, :3], atol=5e-5)
 
 
-def test_viewpoints_may_lie_a_little_outside_the_eye_box_and_no_more(flat_image_headset):
+def test_viewpoints_may_lie_a_little_outside_the_eye_box_and_no_more(flat_image_headset: Eye) -> None:
     models, box = checked_models(flat_image_headset), flat_image_headset.eye_box
     edge = box.centre + [0, (0.5 + REACH) * box.size[1] + EYE_BOX_MARGIN, 0]
     np.testing.assert_array_equal(checked_viewpoints(edge, models)["right"], edge)
@@ -109,7 +110,7 @@ def test_viewpoints_may_lie_a_little_outside_the_eye_box_and_no_more(flat_image_
         nearest_in_reach(edge * np.nan, box)
 
 
-def test_viewpoints_are_given_by_eye(flat_image_headset):
+def test_viewpoints_are_given_by_eye(flat_image_headset: Eye) -> None:
     models = checked_models({"right": flat_image_headset, "left": left_of(flat_image_headset)})
     centre = flat_image_headset.eye_box.centre
     assert [*checked_viewpoints({"right": centre}, models)] == ["right"]

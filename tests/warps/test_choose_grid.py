@@ -6,6 +6,7 @@ from fitted_eyes import fitted_eye
 
 from wlr_render.geometry import directions
 from wlr_render.mappings import Eye, Panel, QueryResult
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.choose_grid import (
     TOLERANCE_ARCMIN,
     choose_warp_grid,
@@ -24,17 +25,17 @@ class CubicImage:
     bent: float
     panel: Panel = PANEL
 
-    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: object, warm_start: object = None) -> QueryResult:
         u, v = np.moveaxis((pixel - 0.5 * self.panel.size_px) * 1e-3, -1, 0)
         tangents = np.stack([u + self.bent * u**3, -v], axis=-1)
         return QueryResult(directions.dir_of_tangents(tangents), np.zeros(tangents.shape[:-1], np.uint8))
 
 
-def cubic_eye(toy_headset, bent):
+def cubic_eye(toy_headset: Eye, bent: float) -> Eye:
     return Eye("cubic", "right", CubicImage(bent), toy_headset.see_through, toy_headset.eye_box)
 
 
-def test_the_error_of_a_cubic_field_is_its_third_difference(toy_headset):
+def test_the_error_of_a_cubic_field_is_its_third_difference(toy_headset: Eye) -> None:
     eye, cell = cubic_eye(toy_headset, 3.0), 20.0
     warp_grid = WarpGrid.edge_to_edge(PANEL, 31, 21)
     near_axis = 0.5 * PANEL.size_px + [[5.0, 0.0], [0.0, 0.0], [10.0, 0.0]]  # quarter of an edge, point, middle
@@ -47,7 +48,7 @@ def test_the_error_of_a_cubic_field_is_its_third_difference(toy_headset):
     assert error[0] > 0.9 * expected[0]
 
 
-def test_a_stronger_curvature_needs_a_denser_grid(toy_headset):
+def test_a_stronger_curvature_needs_a_denser_grid(toy_headset: Eye) -> None:
     mild, strong = (choose_warp_grid(cubic_eye(toy_headset, k), np.eye(3)) for k in (1.0, 27.0))
     np.testing.assert_allclose(mild.cell_px / strong.cell_px, 3, rtol=0.2)
     assert 0.4 * TOLERANCE_ARCMIN < strong.bound_arcmin <= TOLERANCE_ARCMIN
@@ -55,7 +56,7 @@ def test_a_stronger_curvature_needs_a_denser_grid(toy_headset):
 
 @pytest.mark.parametrize("device", ["freeform40", "birdbath28"])
 @pytest.mark.slow
-def test_the_bound_holds_at_other_pixels_and_viewpoints(device):
+def test_the_bound_holds_at_other_pixels_and_viewpoints(device: str) -> None:
     eye = fitted_eye(device, 3)
     axes, rng = middle_axes(eye), np.random.default_rng(8)
     chosen = choose_warp_grid(eye, axes)
@@ -74,7 +75,7 @@ def test_the_bound_holds_at_other_pixels_and_viewpoints(device):
     assert 0.2 * chosen.bound_arcmin < worst <= 1.1 * chosen.bound_arcmin
 
 
-def test_half_the_cell_makes_an_eighth_of_the_error_or_less():
+def test_half_the_cell_makes_an_eighth_of_the_error_or_less() -> None:
     eye = fitted_eye("northstar", 5)
     axes, viewpoint = middle_axes(eye), eye.eye_box.at(np.array([0.5, -0.5, 1]))
     errors = []
@@ -85,14 +86,14 @@ def test_half_the_cell_makes_an_eighth_of_the_error_or_less():
     assert 6 < errors[0] / errors[1] < 18
 
 
-def test_an_unreachable_tolerance_gives_the_densest_grid(toy_headset):
+def test_an_unreachable_tolerance_gives_the_densest_grid(toy_headset: Eye) -> None:
     chosen = choose_warp_grid(toy_headset, np.eye(3), tolerance_arcmin=1e-9)
     assert max(chosen.grid.size) == 257
     assert 1e-9 < chosen.bound_arcmin < 0.01
     assert chosen.hole_share == 0
 
 
-def test_unsolved_points_are_reported_and_not_in_the_error(toy_headset, toy_headset_with_hole):
+def test_unsolved_points_are_reported_and_not_in_the_error(toy_headset: Eye, toy_headset_with_hole: Eye) -> None:
     whole, holed = (choose_warp_grid(eye, np.eye(3)) for eye in (toy_headset, toy_headset_with_hole))
     assert whole.hole_share == 0
     assert 0 < holed.hole_share < 0.3
@@ -102,7 +103,7 @@ def test_unsolved_points_are_reported_and_not_in_the_error(toy_headset, toy_head
     assert np.isnan(warp_grid_error_arcmin(toy_headset_with_hole, np.eye(3), holed.grid, viewpoint, in_hole)).all()
 
 
-def test_a_panel_that_is_not_seen_at_all_is_known_nowhere(toy_headset):
+def test_a_panel_that_is_not_seen_at_all_is_known_nowhere(toy_headset: Eye) -> None:
     hidden = dataclasses.replace(toy_headset.display, hole_px=1e4)
     chosen = choose_warp_grid(dataclasses.replace(toy_headset, display=hidden), np.eye(3))
     assert chosen.hole_share == 1

@@ -1,15 +1,20 @@
 """A host that promises OpenGL's default state: the same pictures, and nothing of its state is read or restored."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from gl_caller import assert_same
+from gl_caller import Caller, assert_same
 from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.gl.framebuffers import TextureLayer
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.stored_picture import DepthKind, StoredDepth
 
 pytestmark = pytest.mark.gl
@@ -18,26 +23,28 @@ WINDOW = StoredDepth(DepthKind.WINDOW, 0.5, 4.0)
 
 
 @pytest.fixture
-def models(flat_image_headset):
+def models(flat_image_headset: Eye) -> dict[str, Eye]:
     return {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
 
 
 @pytest.fixture
-def clean(caller, compositor, models):
+def clean(caller: Caller, compositor: Callable[..., Any], models: Mapping[str, Eye]) -> Compositor:
     return compositor(models, context=caller.ctx, host_state="clean")
 
 
-def seen(models):
+def seen(models: Mapping[str, Eye]) -> dict[str, FloatArray]:
     return {eye: viewpoint(each) for eye, each in models.items()}
 
 
-def switches(caller):
+def switches(caller: Caller) -> dict[str, Any]:
     state = caller.state()
     names = [name for name in state if name.startswith(("switch", "colour mask", "depth mask", "polygon", "clip"))]
     return {name: state[name] for name in names}
 
 
-def test_the_pictures_are_those_of_an_own_context_and_no_switch_changes(caller, compositor, models):
+def test_the_pictures_are_those_of_an_own_context_and_no_switch_changes(
+    caller: Caller, compositor: Callable[..., Any], models: Mapping[str, Eye]
+) -> None:
     before = switches(caller)
     own = compositor(models, context="egl")
     draw(own, SceneSource(own, scene()), HEAD, seen(models))
@@ -57,7 +64,7 @@ def test_the_pictures_are_those_of_an_own_context_and_no_switch_changes(caller, 
     assert caller.ctx.error == "GL_NO_ERROR"
 
 
-def test_no_state_is_restored(caller, clean, models):
+def test_no_state_is_restored(caller: Caller, clean: Compositor, models: Mapping[str, Eye]) -> None:
     """The mode would be worthless if it restored the state after all."""
     caller.framebuffer.use()
     source = SceneSource(clean, scene())
@@ -68,7 +75,9 @@ def test_no_state_is_restored(caller, clean, models):
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_released_compositor_leaves_no_program_that_another_one_cannot_restore(caller, clean, compositor, models):
+def test_a_released_compositor_leaves_no_program_that_another_one_cannot_restore(
+    caller: Caller, clean: Compositor, compositor: Callable[..., Any], models: Mapping[str, Eye]
+) -> None:
     kept = compositor(models, context=caller.ctx)
     draw(clean, SceneSource(clean, scene()), HEAD, seen(models))
     clean.compose()
@@ -80,7 +89,7 @@ def test_a_released_compositor_leaves_no_program_that_another_one_cannot_restore
     assert caller.ctx.error == "GL_NO_ERROR"
 
 
-def test_pictures_by_number_and_layer(caller, clean, models):
+def test_pictures_by_number_and_layer(caller: Caller, clean: Compositor, models: Mapping[str, Eye]) -> None:
     """Numbers are remembered: what is drawn into their objects later is shown all the same."""
     ctx = caller.ctx
     screen = ctx.simple_framebuffer((2 * SMALL[0], SMALL[1]))
@@ -106,7 +115,9 @@ def test_pictures_by_number_and_layer(caller, clean, models):
 
 
 @pytest.mark.parametrize("host_state", ["kept", "clean"])
-def test_a_number_whose_object_has_changed_is_looked_up_again(caller, compositor, models, host_state):
+def test_a_number_whose_object_has_changed_is_looked_up_again(
+    caller: Caller, compositor: Callable[..., Any], models: Mapping[str, Eye], host_state: str
+) -> None:
     """At once, or where the host keeps its names, when they are forgotten."""
     ctx, size = caller.ctx, (2 * SMALL[0], SMALL[1])
     made = compositor(models, context=ctx, host_state=host_state)
@@ -123,7 +134,7 @@ def test_a_number_whose_object_has_changed_is_looked_up_again(caller, compositor
     assert any(other.read())
 
 
-def test_what_a_host_has_not_reset_is_named(caller, clean):
+def test_what_a_host_has_not_reset_is_named(caller: Caller, clean: Compositor) -> None:
     before = caller.state()
     clean.context.check_host_is_clean()
     assert_same(caller.state(), before)
@@ -144,7 +155,9 @@ def test_what_a_host_has_not_reset_is_named(caller, clean):
     caller.gl("glDepthMask", 1)
 
 
-def test_a_host_whose_state_is_kept_can_be_checked_too(caller, compositor, models):
+def test_a_host_whose_state_is_kept_can_be_checked_too(
+    caller: Caller, compositor: Callable[..., Any], models: Mapping[str, Eye]
+) -> None:
     """Before it promises to be clean."""
     kept = compositor(models, context=caller.ctx)
     kept.context.check_host_is_clean()

@@ -1,6 +1,8 @@
 """Three models of one eye: each colour is bent as its own model says."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,11 +11,15 @@ from warps.composing import HEAD, clear_of_edges, draw, planar, scene, traced, v
 from benchmarks.scene_source import SceneSource
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.geometry import directions, transforms
+from wlr_render.mappings import Eye, Panel, QueryResult
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.composed_frame import ComposedFrame
+from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.raster_camera import EyePlan
 
 
 @pytest.mark.gl
-def test_each_colour_is_what_its_own_models_rays_meet(compositor, flat_image_headset):
+def test_each_colour_is_what_its_own_models_rays_meet(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     see_through = flat_image_headset.see_through
     colours = [
         replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.02, 0.0, 0.02)
@@ -35,7 +41,7 @@ def test_each_colour_is_what_its_own_models_rays_meet(compositor, flat_image_hea
         assert np.delete(difference, channel).max() > 40
 
 
-def composed(compositor, model):
+def composed(compositor: Compositor, model: Eye) -> ComposedFrame:
     draw(compositor, SceneSource(compositor, scene()), HEAD, viewpoint(model))
     return compositor.compose()
 
@@ -43,7 +49,7 @@ def composed(compositor, model):
 @pytest.mark.gl
 @pytest.mark.parametrize("kind", ["planar", "flat image"])
 @pytest.mark.slow
-def test_three_models_alike_are_one(compositor, flat_image_headset, kind):
+def test_three_models_alike_are_one(compositor: Callable[..., Any], flat_image_headset: Eye, kind: str) -> None:
     model = planar() if kind == "planar" else flat_image_headset
     one, three = (compositor({"right": given}) for given in (model, [model] * 3))
     alone, together = composed(one, model), composed(three, model)
@@ -58,10 +64,10 @@ class Rippled:
     whole: object
 
     @property
-    def panel(self):
+    def panel(self) -> Panel:
         return self.whole.panel
 
-    def view_dir_of_pixel(self, pixel, at, warm_start=None):
+    def view_dir_of_pixel(self, pixel: FloatArray, at: FloatArray, warm_start: object = None) -> QueryResult:
         answer = self.whole.view_dir_of_pixel(pixel, at)
         swing = 1e-4 * np.sin(40 * np.asarray(pixel)[..., 0] / self.panel.width_px)
         value = directions.normalised(answer.value + swing[..., None] * [1.0, 0.0, 0.0])
@@ -69,7 +75,7 @@ class Rippled:
 
 
 @pytest.mark.parametrize("place", range(3))
-def test_the_most_curved_colour_says_how_fine_the_lattice_is(flat_image_headset, place):
+def test_the_most_curved_colour_says_how_fine_the_lattice_is(flat_image_headset: Eye, place: int) -> None:
     colours = [flat_image_headset] * 3
     colours[place] = replace(flat_image_headset, display=Rippled(flat_image_headset.display))
     flat, together = (

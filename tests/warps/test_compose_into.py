@@ -1,18 +1,24 @@
 """Pictures go where they are told to, upright, and nowhere else."""
 
 import ctypes
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import moderngl
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
+from wlr_render.gl.context import GlContext
 from wlr_render.gl.framebuffers import TextureLayer
 from wlr_render.gl.native_contexts import OsMesaContext
+from wlr_render.mappings import Eye
+from wlr_render.warp.compositor import Compositor
 
 pytestmark = pytest.mark.gl
 
@@ -21,7 +27,7 @@ DRAW_FRAMEBUFFER, COLOUR = 0x8CA9, 0x8CE0
 
 
 @pytest.fixture
-def theirs(gl_context):
+def theirs(gl_context: GlContext) -> Iterator[moderngl.Context]:
     """A caller's context; `gl_context` skips the test where there is no OpenGL."""
     made = moderngl.create_context(standalone=True, require=430, backend="egl")
     yield made
@@ -29,7 +35,7 @@ def theirs(gl_context):
 
 
 @pytest.fixture
-def one_eye(theirs, compositor, flat_image_headset):
+def one_eye(theirs: moderngl.Context, compositor: Callable[..., Any], flat_image_headset: Eye) -> Compositor:
     """A compositor of one eye to which a frame was submitted."""
     made = compositor(flat_image_headset, context=theirs)
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
@@ -37,7 +43,7 @@ def one_eye(theirs, compositor, flat_image_headset):
 
 
 @pytest.fixture
-def two_eyes(theirs, compositor, flat_image_headset):
+def two_eyes(theirs: moderngl.Context, compositor: Callable[..., Any], flat_image_headset: Eye) -> Compositor:
     models = {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
     made = compositor(models, context=theirs)
     at = {"left": viewpoint(flat_image_headset, -0.7, 0, 0), "right": viewpoint(flat_image_headset, 0.7, 0, 0)}
@@ -45,13 +51,13 @@ def two_eyes(theirs, compositor, flat_image_headset):
     return made
 
 
-def upright(framebuffer, attachment=0):
+def upright(framebuffer: moderngl.Framebuffer, attachment: int = 0) -> NDArray[np.uint8]:
     """What a framebuffer shows, its top row first."""
     pixels = framebuffer.read(components=3, attachment=attachment, alignment=1)
     return np.frombuffer(pixels, np.uint8).reshape(framebuffer.height, framebuffer.width, 3)[::-1]
 
 
-def assert_same_but_for_rounding(shown, expected):
+def assert_same_but_for_rounding(shown: NDArray[np.uint8], expected: NDArray[np.uint8]) -> None:
     """Assert that pictures differ as their rays do, which other window coordinates round otherwise, by some 1e-4 px.
 
     That is worth a code where a colour lies at a tie; it changes by less than 100 codes a pixel, so that one in a
@@ -62,12 +68,12 @@ def assert_same_but_for_rounding(shown, expected):
     assert (difference > 0).mean() < 0.01
 
 
-def call(context, name, *arguments):
+def call(context: moderngl.Context, name: str, *arguments: ctypes.Array[ctypes.c_uint] | int) -> None:
     types = [ctypes.c_void_p if isinstance(each, ctypes.Array) else ctypes.c_uint for each in arguments]
     return ctypes.CFUNCTYPE(None, *types)(context.mglo._context.load(name))(*arguments)
 
 
-def test_both_eyes_go_the_same_wherever_they_go(theirs, two_eyes):
+def test_both_eyes_go_the_same_wherever_they_go(theirs: moderngl.Context, two_eyes: Compositor) -> None:
     frame = two_eyes.compose()
     left, right = (frame.read(eye).copy() for eye in two_eyes.eyes)
     assert (left != right).any()
@@ -86,7 +92,9 @@ def test_both_eyes_go_the_same_wherever_they_go(theirs, two_eyes):
 
 
 @pytest.mark.parametrize("buffers", [(0, 1, 2), (1, None, 0), (None, 1, None)])
-def test_only_the_first_colour_is_drawn_and_draw_buffers_come_back(theirs, one_eye, buffers):
+def test_only_the_first_colour_is_drawn_and_draw_buffers_come_back(
+    theirs: moderngl.Context, one_eye: Compositor, buffers: tuple[int | None, int | None, int | None]
+) -> None:
     expected = one_eye.compose().read()
     given = theirs.framebuffer(
         [theirs.texture(SMALL, 4, bytes([9 + k]) * (4 * WIDTH * HEIGHT)) for k in range(3)],
@@ -107,13 +115,13 @@ def test_only_the_first_colour_is_drawn_and_draw_buffers_come_back(theirs, one_e
     assert np.ptp(np.frombuffer(given.depth_attachment.read(), np.float32)) == 0
 
 
-def test_two_eyes_do_not_share_a_framebuffer_of_one_eyes_size(theirs, two_eyes):
+def test_two_eyes_do_not_share_a_framebuffer_of_one_eyes_size(theirs: moderngl.Context, two_eyes: Compositor) -> None:
     shared = theirs.simple_framebuffer(SMALL)
     with pytest.raises(BadInputError, match="same framebuffer"):
         two_eyes.compose({"left": shared, "right": shared.glo})
 
 
-def test_samples_and_floats_are_drawn_as_bytes_are(theirs, one_eye):
+def test_samples_and_floats_are_drawn_as_bytes_are(theirs: moderngl.Context, one_eye: Compositor) -> None:
     expected = one_eye.compose().read()
     samples, resolved = theirs.simple_framebuffer(SMALL, samples=4), theirs.simple_framebuffer(SMALL)
     one_eye.compose(samples)
@@ -125,7 +133,7 @@ def test_samples_and_floats_are_drawn_as_bytes_are(theirs, one_eye):
     np.testing.assert_allclose(shown * 255, expected, atol=0.51)
 
 
-def test_layers_levels_and_samples_of_textures_are_targets(theirs, two_eyes):
+def test_layers_levels_and_samples_of_textures_are_targets(theirs: moderngl.Context, two_eyes: Compositor) -> None:
     frame = two_eyes.compose()
     left, right = (frame.read(eye).copy() for eye in two_eyes.eyes)
     array = theirs.texture_array((*SMALL, 3), 4, bytes([7]) * (4 * 3 * WIDTH * HEIGHT))
@@ -151,7 +159,7 @@ def test_layers_levels_and_samples_of_textures_are_targets(theirs, two_eyes):
         assert_same_but_for_rounding(upright(plain), np.hstack([left, right]))
 
 
-def test_a_framebuffer_with_a_layer_of_an_array_is_a_target(theirs, one_eye):
+def test_a_framebuffer_with_a_layer_of_an_array_is_a_target(theirs: moderngl.Context, one_eye: Compositor) -> None:
     expected = one_eye.compose().read()
     array = theirs.texture_array((*SMALL, 3), 4)
     one_eye.compose(attached(theirs, array, layer=2))
@@ -162,7 +170,12 @@ def test_a_framebuffer_with_a_layer_of_an_array_is_a_target(theirs, one_eye):
         one_eye.compose(attached(theirs, array))
 
 
-def attached(context, texture, level=0, layer=None):
+def attached(
+    context: moderngl.Context,
+    texture: SimpleNamespace | moderngl.Texture | moderngl.Texture3D | moderngl.TextureArray,
+    level: int = 0,
+    layer: int | None = None,
+) -> int:
     """The number of a framebuffer to which one layer and level of a texture is attached, or all layers."""
     name = (ctypes.c_uint * 1)()
     call(context, "glGenFramebuffers", 1, name)
@@ -179,7 +192,9 @@ POSITIVE_X, FACE, MULTISAMPLED_ARRAY, RGBA8 = 0x8515, 0x8517, 0x9102, 0x8058
 
 
 @pytest.mark.parametrize("kind", ["volume", "cube"])
-def test_a_slice_of_a_volume_and_a_face_of_a_cube_are_targets(theirs, compositor, flat_image_headset, kind):
+def test_a_slice_of_a_volume_and_a_face_of_a_cube_are_targets(
+    theirs: moderngl.Context, compositor: Callable[..., Any], flat_image_headset: Eye, kind: str
+) -> None:
     made = compositor(flat_image_headset, SQUARE, context=theirs)
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
     expected = made.compose().read()
@@ -197,7 +212,7 @@ def test_a_slice_of_a_volume_and_a_face_of_a_cube_are_targets(theirs, compositor
     assert theirs.error == "GL_NO_ERROR"
 
 
-def test_a_layer_that_drivers_do_not_name_is_refused(theirs, one_eye):
+def test_a_layer_that_drivers_do_not_name_is_refused(theirs: moderngl.Context, one_eye: Compositor) -> None:
     """Mesa reports layer 0 for every layer of a multisampled array."""
     name, layer = (ctypes.c_uint * 1)(), (ctypes.c_uint * 1)()
     call(theirs, "glGenTextures", 1, name)
@@ -212,7 +227,9 @@ def test_a_layer_that_drivers_do_not_name_is_refused(theirs, one_eye):
         one_eye.compose(number)
 
 
-def test_framebuffers_that_cannot_be_drawn_to_are_told_in_a_sentence(theirs, one_eye):
+def test_framebuffers_that_cannot_be_drawn_to_are_told_in_a_sentence(
+    theirs: moderngl.Context, one_eye: Compositor
+) -> None:
     expected = one_eye.compose().read()
     released = theirs.simple_framebuffer(SMALL)
     released.release()
@@ -246,7 +263,7 @@ def test_framebuffers_that_cannot_be_drawn_to_are_told_in_a_sentence(theirs, one
     elsewhere.release()
 
 
-def test_what_went_elsewhere_is_not_fetched(theirs, one_eye):
+def test_what_went_elsewhere_is_not_fetched(theirs: moderngl.Context, one_eye: Compositor) -> None:
     frame = one_eye.compose(theirs.simple_framebuffer(SMALL))
     for fetch, words in (
         (frame.read, "into your framebuffer"),
@@ -261,7 +278,7 @@ def test_what_went_elsewhere_is_not_fetched(theirs, one_eye):
         one_eye.compose().source()
 
 
-def test_a_window_is_drawn_to_by_its_number(compositor, flat_image_headset):
+def test_a_window_is_drawn_to_by_its_number(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     try:
         window = OsMesaContext()
     except OSError as error:

@@ -1,5 +1,8 @@
 """A composed frame shows, at every display pixel, what that pixel's exact ray meets; so does a corrected one."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from gl_scenes import at
@@ -19,6 +22,9 @@ from warps.composing import (
 from benchmarks.scene_source import SceneSource
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.geometry import transforms
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.warp.compositor import Compositor
 
 LATE = HEAD @ at(
     0.004,
@@ -30,16 +36,22 @@ MOST_ARCMIN, MOST_LATE_ARCMIN = 0.02, 0.05
 
 
 @pytest.fixture(scope="module")
-def renderer():
+def renderer() -> RayRenderer:
     return RayRenderer(scene())
 
 
 @pytest.fixture(params=["planar", "flat image"])
-def headset(request, flat_image_headset):
+def headset(request: pytest.FixtureRequest, flat_image_headset: Eye) -> Eye:
     return planar() if request.param == "planar" else flat_image_headset
 
 
-def compared(compositor, renderer, mappings, seen, corrected=True):
+def compared(
+    compositor: Compositor,
+    renderer: RayRenderer,
+    mappings: Eye,
+    seen: tuple[FloatArray, FloatArray],
+    corrected: bool = True,
+) -> tuple[FloatArray, IntArray]:
     """Misplacement and colour difference at pixels away from edges, for a frame drawn at HEAD and seen elsewhere."""
     drawn_at, (pose, seen_at) = viewpoint(mappings), seen
     shown_for = {"pose": pose, "viewpoint": seen_at} if corrected else {}
@@ -57,7 +69,9 @@ def compared(compositor, renderer, mappings, seen, corrected=True):
 
 @pytest.mark.parametrize("context", CONTEXTS)
 @pytest.mark.slow
-def test_it_shows_what_the_exact_rays_meet(compositor, renderer, headset, context):
+def test_it_shows_what_the_exact_rays_meet(
+    compositor: Callable[..., Any], renderer: RayRenderer, headset: Eye, context: str
+) -> None:
     composed = compositor(headset, context=context)
     misplaced, colour = compared(composed, renderer, headset, (HEAD, viewpoint(headset)))
     assert misplaced.max() < MOST_ARCMIN
@@ -67,7 +81,9 @@ def test_it_shows_what_the_exact_rays_meet(compositor, renderer, headset, contex
 
 @pytest.mark.gl
 @pytest.mark.slow
-def test_a_lattice_coarser_than_the_display_is_within_its_bound(compositor, renderer):
+def test_a_lattice_coarser_than_the_display_is_within_its_bound(
+    compositor: Callable[..., Any], renderer: RayRenderer
+) -> None:
     composed = compositor(planar(), (300, 330), context="egl")
     chosen = composed.plan("right").warp_grid
     assert (chosen.cell_px > 1.1 * composed.plan("right").channels[0].display.panel.size_px / composed.size_px).all()
@@ -77,7 +93,9 @@ def test_a_lattice_coarser_than_the_display_is_within_its_bound(compositor, rend
 
 @pytest.mark.slow
 @pytest.mark.gl
-def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(compositor, renderer, headset):
+def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(
+    compositor: Callable[..., Any], renderer: RayRenderer, headset: Eye
+) -> None:
     late = LATE, viewpoint(headset, -0.6, 0.5, -0.4)
     composed = compositor(headset)
     misplaced, _ = compared(composed, renderer, headset, late)
@@ -88,7 +106,7 @@ def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(compositor
 
 @pytest.mark.slow
 @pytest.mark.gl
-def test_corrections_do_not_depend_on_each_other(compositor, headset):
+def test_corrections_do_not_depend_on_each_other(compositor: Callable[..., Any], headset: Eye) -> None:
     composed = compositor(headset)
     draw(composed, SceneSource(composed, scene()), HEAD, viewpoint(headset))
     moments = [{}, {"pose": LATE}, {"viewpoint": viewpoint(headset, -0.6, 0.5, -0.4)}]
@@ -101,7 +119,9 @@ def test_corrections_do_not_depend_on_each_other(compositor, headset):
 
 
 @pytest.mark.gl
-def test_each_row_of_a_rolling_scan_out_is_that_of_a_frame_at_its_own_pose(compositor, headset):
+def test_each_row_of_a_rolling_scan_out_is_that_of_a_frame_at_its_own_pose(
+    compositor: Callable[..., Any], headset: Eye
+) -> None:
     composed = compositor(headset)
     draw(composed, SceneSource(composed, scene()), HEAD, viewpoint(headset))
     rolling = composed.compose(pose=HEAD, pose_at_last_row=LATE, with_source=True)
@@ -116,7 +136,9 @@ def test_each_row_of_a_rolling_scan_out_is_that_of_a_frame_at_its_own_pose(compo
 
 
 @pytest.mark.gl
-def test_a_raster_camera_at_the_viewpoint_gives_the_same_points(compositor, renderer, headset):
+def test_a_raster_camera_at_the_viewpoint_gives_the_same_points(
+    compositor: Callable[..., Any], renderer: RayRenderer, headset: Eye
+) -> None:
     seen = viewpoint(headset)
     nearest, paper = (compositor(headset, raster_camera=place) for place in ("nearest", "viewpoint"))
     places = [made.begin_frame(HEAD, seen)["right"].view.position_in_world for made in (nearest, paper)]

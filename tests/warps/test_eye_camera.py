@@ -4,6 +4,7 @@ import pytest
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.eye_camera import EyeCamera
 from wlr_render.warp.stored_picture import DepthKind, StoredDepth
 from wlr_render.warp.view import View
@@ -14,12 +15,12 @@ EYE = EyeCamera("left", View(CAMERA, np.array([-0.03, 0.0, 0.01]), HEAD, transfo
 POINTS = np.random.default_rng(0).uniform([-0.5, -0.4, -6], [0.7, 0.4, -0.4], (50, 3))  # camera frame
 
 
-def clip(projection):
+def clip(projection: FloatArray) -> FloatArray:
     homogeneous = np.concatenate([POINTS, np.ones((len(POINTS), 1))], axis=1) @ projection.T
     return homogeneous[:, :3] / homogeneous[:, 3:]
 
 
-def test_the_projection_puts_points_on_the_pinholes_pixels():
+def test_the_projection_puts_points_on_the_pinholes_pixels() -> None:
     pixel = (clip(EYE.projection(0.1, 50.0))[:, :2] * [1, -1] + 1) / 2 * EYE.size_px
     depth = -POINTS[:, 2:]
     np.testing.assert_allclose(pixel, CAMERA.pixel_of_tangents(POINTS[:, :2] / depth), atol=1e-9)
@@ -28,7 +29,7 @@ def test_the_projection_puts_points_on_the_pinholes_pixels():
 
 
 @pytest.mark.parametrize(("near", "far"), [(0.1, 50.0), (0.1, np.inf), (50.0, 0.1), (np.inf, 0.1)])
-def test_the_depth_buffer_is_what_a_stored_depth_of_the_same_planes_says(near, far):
+def test_the_depth_buffer_is_what_a_stored_depth_of_the_same_planes_says(near: float, far: float) -> None:
     stored = StoredDepth(DepthKind.WINDOW, near, far)
     at_0, at_1 = stored.inverse_of_0_and_1
     for window in (
@@ -38,24 +39,24 @@ def test_the_depth_buffer_is_what_a_stored_depth_of_the_same_planes_says(near, f
         np.testing.assert_allclose(at_0 + (at_1 - at_0) * window, -1 / POINTS[:, 2], rtol=1e-9)
 
 
-def test_the_borders_lie_at_the_angles_that_openxr_is_told():
+def test_the_borders_lie_at_the_angles_that_openxr_is_told() -> None:
     left, right, up, down = np.tan(EYE.fov_rad)
     corners = np.array([[left, up, -1, 1], [right, down, -1, 1]]) @ EYE.projection(0.1).T
     np.testing.assert_allclose(corners[:, :2] / corners[:, 3:], [[-1, 1], [1, -1]], atol=1e-12)
 
 
-def test_the_view_matrix_carries_the_cameras_place_to_the_origin():
+def test_the_view_matrix_carries_the_cameras_place_to_the_origin() -> None:
     eye_in_world = transforms.apply(HEAD, np.array([-0.03, 0.0, 0.01]))
     np.testing.assert_allclose(transforms.apply(EYE.camera_from_world, eye_in_world), 0, atol=1e-12)
     np.testing.assert_allclose(EYE.camera_from_world @ EYE.world_from_camera, np.eye(4), atol=1e-12)
 
 
 @pytest.mark.parametrize(("near", "far"), [(0.0, 1.0), (0.1, 0.1), (np.inf, np.inf), (-1.0, 5.0), (np.nan, 1.0)])
-def test_planes_that_bound_nothing_are_refused(near, far):
+def test_planes_that_bound_nothing_are_refused(near: float, far: float) -> None:
     with pytest.raises(BadInputError, match="two different positive distances"):
         EYE.projection(near, far)
 
 
-def test_what_an_engine_is_told_it_cannot_change():
+def test_what_an_engine_is_told_it_cannot_change() -> None:
     with pytest.raises(ValueError, match="read-only"):
         EYE.world_from_camera[:3, 3] += 1.0

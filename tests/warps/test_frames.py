@@ -3,7 +3,9 @@
 import gc
 import itertools
 import tracemalloc
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any, NoReturn
 
 import moderngl
 import numpy as np
@@ -15,20 +17,25 @@ from warps.composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoin
 from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.gl import gl
+from wlr_render.gl.context import GlContext
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.compositor import Compositor
 
 
 @pytest.fixture
-def pair(flat_image_headset):
+def pair(flat_image_headset: Eye) -> dict[str, Eye]:
     return {"left": replace(flat_image_headset, eye="left"), "right": flat_image_headset}
 
 
-def scaled(pose, factor):
+def scaled(pose: FloatArray, factor: float) -> FloatArray:
     return pose @ np.diag([factor] * 3 + [1.0])
 
 
 @pytest.mark.parametrize("context", CONTEXTS)
-def test_calls_out_of_order_are_told_in_a_sentence(compositor, pair, context):
+def test_calls_out_of_order_are_told_in_a_sentence(
+    compositor: Callable[..., Any], pair: Mapping[str, Eye], context: str
+) -> None:
     made = compositor(pair, context=context)
     source, seen = SceneSource(made, scene()), dict.fromkeys(pair, pair["left"].eye_box.centre)
     expected, first = None, True
@@ -61,7 +68,9 @@ def test_calls_out_of_order_are_told_in_a_sentence(compositor, pair, context):
 
 
 @pytest.mark.gl
-def test_faulty_poses_and_viewpoints_leave_the_frame_as_it_was(compositor, flat_image_headset):
+def test_faulty_poses_and_viewpoints_leave_the_frame_as_it_was(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     draw(made, SceneSource(made, scene()), HEAD, seen)
     expected = made.compose().read()
@@ -86,7 +95,7 @@ def test_faulty_poses_and_viewpoints_leave_the_frame_as_it_was(compositor, flat_
 
 
 @pytest.mark.parametrize("context", CONTEXTS)
-def test_a_released_compositor_says_so(flat_image_headset, compositor, context):
+def test_a_released_compositor_says_so(flat_image_headset: Eye, compositor: Callable[..., Any], context: str) -> None:
     seen = viewpoint(flat_image_headset)
     made = compositor(flat_image_headset, context=context)
     with made:
@@ -114,7 +123,7 @@ def test_a_released_compositor_says_so(flat_image_headset, compositor, context):
 
 
 @pytest.mark.gl
-def test_choices_that_are_none_are_told_in_a_sentence(compositor, flat_image_headset):
+def test_choices_that_are_none_are_told_in_a_sentence(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     compositor(flat_image_headset)
     for options, words in (
         ({"size": (0, 60)}, "size"),
@@ -143,7 +152,9 @@ def test_choices_that_are_none_are_told_in_a_sentence(compositor, flat_image_hea
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 2), (300, 5)])
 @pytest.mark.gl
-def test_pictures_of_any_size_and_shape(compositor, flat_image_headset, size):
+def test_pictures_of_any_size_and_shape(
+    compositor: Callable[..., Any], flat_image_headset: Eye, size: tuple[int, int]
+) -> None:
     made, seen = compositor(flat_image_headset, size), viewpoint(flat_image_headset)
     draw(made, SceneSource(made, scene()), HEAD, seen)
     composed = made.compose(pose_at_last_row=HEAD).read()
@@ -151,13 +162,13 @@ def test_pictures_of_any_size_and_shape(compositor, flat_image_headset, size):
     assert composed.any(axis=-1).all()
 
 
-def moved(frame):
+def moved(frame: float) -> tuple[FloatArray, tuple[float, float, int]]:
     """A head that shakes and a pupil that wanders, and returns every 20 frames."""
     phase = 2 * np.pi * frame / 20
     return HEAD @ at(0.003 * np.sin(phase), 0.002 * np.cos(phase), 0), (0.7 * np.sin(phase), 0.6 * np.cos(phase), 0)
 
 
-def grown_bytes(run, first, middle, last):
+def grown_bytes(run: Callable[..., Any], first: int, middle: int, last: int) -> int:
     """By how much Python's memory grows over as many frames as from the middle one to the last, at the least.
 
     Of two such spans: what leaks grows in both, and the libraries' own stores fill in one. numpy fills its before.
@@ -175,7 +186,7 @@ def grown_bytes(run, first, middle, last):
 
 @pytest.mark.gl
 @pytest.mark.slow
-def test_frames_leave_nothing_behind(compositor, gl_context):
+def test_frames_leave_nothing_behind(compositor: Callable[..., Any], gl_context: GlContext) -> None:
     if gl_context.backend != "egl":
         pytest.skip("EGL does not open here, so that there is no other context to adopt.")
     headset, caller = planar(device="birdbath28"), Caller()  # its warp grid is the coarsest
@@ -183,7 +194,7 @@ def test_frames_leave_nothing_behind(compositor, gl_context):
     source, screen = SceneSource(made, scene()), caller.ctx.simple_framebuffer(SMALL)
     image = source.read(made.begin_frame(HEAD, viewpoint(headset))["right"].view)
 
-    def run(frames):
+    def run(frames: range) -> None:
         for frame in frames:
             pose, unit = moved(frame)
             (camera,) = made.begin_frame(pose, viewpoint(headset, *unit)).values()
@@ -207,7 +218,9 @@ def test_frames_leave_nothing_behind(compositor, gl_context):
     caller.ctx.release()
 
 
-def test_the_context_that_is_asked_for_is_used(compositor, flat_image_headset, gl_context):
+def test_the_context_that_is_asked_for_is_used(
+    compositor: Callable[..., Any], flat_image_headset: Eye, gl_context: GlContext
+) -> None:
     assert compositor(flat_image_headset, context="auto").renderer == gl_context.renderer
     theirs = moderngl.create_context(standalone=True, require=430, backend=gl_context.backend)
     current = compositor(flat_image_headset, context="current")
@@ -216,8 +229,8 @@ def test_the_context_that_is_asked_for_is_used(compositor, flat_image_headset, g
     theirs.release()
 
 
-def test_without_opengl_there_is_no_compositor(flat_image_headset, monkeypatch):
-    def refuse():
+def test_without_opengl_there_is_no_compositor(flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse() -> NoReturn:
         raise ValueError("no driver")
 
     with pytest.raises(BadInputError, match=r"A compositor needs OpenGL; .* or draw ray-traced frames"):
@@ -229,8 +242,10 @@ def test_without_opengl_there_is_no_compositor(flat_image_headset, monkeypatch):
 
 
 @pytest.mark.parametrize("adopted", [False, True])
-def test_after_a_lost_context_a_new_compositor_draws_the_same(compositor, flat_image_headset, adopted):
-    def made_anew():
+def test_after_a_lost_context_a_new_compositor_draws_the_same(
+    compositor: Callable[..., Any], flat_image_headset: Eye, adopted: bool
+) -> None:
+    def made_anew() -> Compositor:
         own = moderngl.create_context(standalone=True, require=410, backend="egl") if adopted else "egl"
         return compositor(flat_image_headset, context=own)
 
@@ -250,7 +265,7 @@ def test_after_a_lost_context_a_new_compositor_draws_the_same(compositor, flat_i
     np.testing.assert_array_equal(again.compose().read(), before)
 
 
-def test_a_frame_is_itself_alone_and_may_be_a_key(compositor, flat_image_headset):
+def test_a_frame_is_itself_alone_and_may_be_a_key(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made, seen = compositor(flat_image_headset), flat_image_headset.eye_box.centre
     first, second = (made.begin_frame(HEAD, seen) for _ in range(2))
     pending = {first: "first", second: "second"}

@@ -3,7 +3,8 @@ import pytest
 from fitted_eyes import fitted_eye
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import Status
+from wlr_render.gl.context import GlContext
+from wlr_render.mappings import Eye, Status
 from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver
 from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.ray_map import RayMapPlan, choose_plan, middle_axes, solve_every_pixel
@@ -11,13 +12,13 @@ from wlr_render.warp.ray_map import RayMapPlan, choose_plan, middle_axes, solve_
 pytestmark = pytest.mark.gl
 
 
-def plan_of(eye, columns=21, rows=31, count=None):
+def plan_of(eye: Eye, columns: int = 21, rows: int = 31, count: int | None = None) -> RayMapPlan:
     axes = middle_axes(eye)
     warp_grid = WarpGrid.edge_to_edge(eye.display.panel, columns, rows)
     return RayMapPlan.onto_grid(warp_grid, count or choose_plan(eye).node_count, axes)
 
 
-def test_the_texture_holds_the_exact_rays_at_the_points(gl_context, toy_headset):
+def test_the_texture_holds_the_exact_rays_at_the_points(gl_context: GlContext, toy_headset: Eye) -> None:
     plan = plan_of(toy_headset)
     nodes = GlNodeSolver(gl_context, toy_headset, plan)
     for unit in ([0.0, 0.0, 0.0], [0.7, -0.9, 0.8]):
@@ -31,7 +32,7 @@ def test_the_texture_holds_the_exact_rays_at_the_points(gl_context, toy_headset)
         np.testing.assert_array_equal(field.viewpoint_in_device, viewpoint)
 
 
-def test_planar_models_agree_with_the_shader(gl_context):
+def test_planar_models_agree_with_the_shader(gl_context: GlContext) -> None:
     eye = fitted_eye("northstar", 5)
     plan, viewpoint = plan_of(eye), eye.eye_box.at(np.array([0.4, -0.6, 0.8]))
     by_nodes = GlNodeSolver(gl_context, eye, plan).solve(viewpoint)
@@ -44,7 +45,9 @@ def test_planar_models_agree_with_the_shader(gl_context):
     assert error[~inside].max() < 3e-5
 
 
-def test_nodes_without_an_answer_are_filled_and_the_hole_stays(gl_context, toy_headset, toy_headset_with_hole):
+def test_nodes_without_an_answer_are_filled_and_the_hole_stays(
+    gl_context: GlContext, toy_headset: Eye, toy_headset_with_hole: Eye
+) -> None:
     eye = toy_headset_with_hole
     plan = plan_of(eye, 49, 41, 9)
     solver = GlNodeSolver(gl_context, eye, plan)
@@ -63,7 +66,7 @@ def test_nodes_without_an_answer_are_filled_and_the_hole_stays(gl_context, toy_h
         assert in_hole.sum() <= (status == Status.MISS).sum() < 0.2 * status.size
 
 
-def test_a_viewpoint_that_is_none_is_refused_and_the_field_stays(gl_context, toy_headset):
+def test_a_viewpoint_that_is_none_is_refused_and_the_field_stays(gl_context: GlContext, toy_headset: Eye) -> None:
     nodes = GlNodeSolver(gl_context, toy_headset, plan_of(toy_headset))
     field = nodes.solve(toy_headset.eye_box.centre)
     before = field.read_slope_offset()

@@ -1,4 +1,6 @@
 import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,12 +9,15 @@ from fitted_eyes import DEGREES, fitted_eye, fitted_terms
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.mappings import Status
+from wlr_render.gl.context import GlContext
+from wlr_render.mappings import Eye, Status
+from wlr_render.models.fitted_model import FittedModel
 from wlr_render.models.moved_panel import MovedPanelDisplay
-from wlr_render.numerics.polynomial import Box
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.warp.gl_ray_maps import GlPlanarSolver
 from wlr_render.warp.grid import WarpGrid
-from wlr_render.warp.ray_map import NEAREST_M, middle_axes, solve_every_pixel
+from wlr_render.warp.ray_map import NEAREST_M, RayMap, middle_axes, solve_every_pixel
 
 pytestmark = pytest.mark.gl
 
@@ -21,47 +26,47 @@ DEVICES = "northstar", "freeform40", "birdbath28"
 PLACES = [0, 0, 0], [1, 1, 1], [-1, 0.6, -1], [0.3, -1, 0.9]
 
 
-def picture(eye):
+def picture(eye: Eye) -> WarpGrid:
     """The warp grid of a picture of SIZE that covers the panel."""
     return WarpGrid.of_pixels(eye.display.panel, SIZE)
 
 
-def gl_solve(context, eye):
+def gl_solve(context: GlContext, eye: Eye) -> GlPlanarSolver:
     return GlPlanarSolver(context, eye, picture(eye), middle_axes(eye))
 
 
-def float64_field(eye, viewpoint, warp_grid=None):
+def float64_field(eye: Eye, viewpoint: FloatArray, warp_grid: WarpGrid | None = None) -> RayMap:
     return solve_every_pixel(eye, viewpoint, middle_axes(eye), (warp_grid or picture(eye)).panel_pixel())
 
 
-def at(eye, unit):
+def at(eye: Eye, unit: Sequence[float]) -> FloatArray:
     return eye.eye_box.at(np.array(unit, dtype=float))
 
 
-def worst_arcmin(field, exact):
+def worst_arcmin(field: RayMap, exact: RayMap) -> float:
     """Largest angle between rays, and by their offsets at the nearest depth, where both fields are OK."""
     both = (field.status == Status.OK) & (exact.status == Status.OK)
     ours, theirs = (np.moveaxis(f.slope_offset.astype(float), 0, -1)[both] for f in (field, exact))
     angle = arcmin_between(dir_of_tangents(ours[:, :2]), dir_of_tangents(theirs[:, :2])).max()
-    return angle + np.linalg.norm(ours[:, 2:] - theirs[:, 2:], axis=1).max() / NEAREST_M / ARCMIN
+    return float(angle + np.linalg.norm(ours[:, 2:] - theirs[:, 2:], axis=1).max() / NEAREST_M / ARCMIN)
 
 
-def assert_same(field, expected):
+def assert_same(field: RayMap, expected: RayMap) -> None:
     """Equal but for the rounding of a solution that was found from elsewhere."""
     np.testing.assert_array_equal(field.status, expected.status)
     assert worst_arcmin(field, expected) < 0.003
 
 
-def with_planes_apart(eye):
+def with_planes_apart(eye: Eye) -> Eye:
     """The same display with a see-through whose base plane lies elsewhere: another mapping, not a better one."""
     plane = BasePlane(eye.see_through.place.z - 0.001)
     return dataclasses.replace(eye, see_through=dataclasses.replace(eye.see_through, place=plane))
 
 
-def with_planes_tilted(eye):
+def with_planes_tilted(eye: Eye) -> Eye:
     """The same polynomials on tilted base planes through the eye box's centre: another mapping, not a better one."""
 
-    def tilted(mapping, slope):
+    def tilted(mapping: FittedModel, slope: tuple[float, float]) -> FittedModel:
         plane = BasePlane(eye.eye_box.centre[2] - np.dot(slope, eye.eye_box.centre[:2]), slope)
         return dataclasses.replace(mapping, place=plane)
 
@@ -69,12 +74,12 @@ def with_planes_tilted(eye):
     return dataclasses.replace(eye, display=display, see_through=see_through)
 
 
-def with_panel_moved(eye):
+def with_panel_moved(eye: Eye) -> Eye:
     """The panel shifted and grown, as self-calibration finds it."""
     return dataclasses.replace(eye, display=MovedPanelDisplay(eye.display, np.array([2.0, -1.5]), 2e-3))
 
 
-def narrowed(polynomial, low, high):
+def narrowed(polynomial: Polynomial, low: FloatArray, high: FloatArray) -> Polynomial:
     """The same polynomial over a part of its box, given in box coordinates -1..1 (4,)."""
     centre, half = 0.5 * (polynomial.box.low + polynomial.box.high), 0.5 * (polynomial.box.high - polynomial.box.low)
     return fitted_terms(polynomial, Box(centre + low * half, centre + high * half), polynomial.orders)
@@ -83,7 +88,7 @@ def narrowed(polynomial, low, high):
 @pytest.mark.slow
 @pytest.mark.parametrize("degree", DEGREES)
 @pytest.mark.parametrize("device", DEVICES)
-def test_rays_are_those_of_the_float64_solve(gl_context, device, degree):
+def test_rays_are_those_of_the_float64_solve(gl_context: GlContext, device: str, degree: int) -> None:
     eye = fitted_eye(device, degree)
     for case in (eye, with_planes_apart(eye), with_planes_tilted(eye), with_panel_moved(eye)):
         solve = gl_solve(gl_context, case)
@@ -95,7 +100,7 @@ def test_rays_are_those_of_the_float64_solve(gl_context, device, degree):
 
 
 @pytest.mark.parametrize("make", [WarpGrid.edge_to_edge, lambda panel, *size: WarpGrid.of_pixels(panel, size)])
-def test_the_points_are_those_of_the_warp_grid(gl_context, make):
+def test_the_points_are_those_of_the_warp_grid(gl_context: GlContext, make: Callable[..., Any]) -> None:
     eye = fitted_eye("freeform40", 5)
     warp_grid, viewpoint = make(eye.display.panel, 23, 31), at(eye, [0.4, -0.6, 0.8])
     solved = GlPlanarSolver(gl_context, eye, warp_grid, middle_axes(eye)).solve(viewpoint)
@@ -107,7 +112,7 @@ def test_the_points_are_those_of_the_warp_grid(gl_context, make):
 
 
 @pytest.mark.parametrize("which", ["display", "see_through", "eye_box"])
-def test_status_is_that_of_the_float64_solve_where_the_fit_is_left(gl_context, which):
+def test_status_is_that_of_the_float64_solve_where_the_fit_is_left(gl_context: GlContext, which: str) -> None:
     eye = fitted_eye("birdbath28", 3)
     share = np.array([-0.61, -1, -1, -0.83]), np.array([1, 0.57, 1, 0.71])
     display, see_through = eye.display, eye.see_through
@@ -125,7 +130,7 @@ def test_status_is_that_of_the_float64_solve_where_the_fit_is_left(gl_context, w
 
 
 @pytest.mark.parametrize("away", [[0, 0, 0.3], [0.5, -0.2, 0.1], [0, 1e4, 1e6]])
-def test_a_viewpoint_far_away_gives_statuses_and_spoils_nothing(gl_context, away):
+def test_a_viewpoint_far_away_gives_statuses_and_spoils_nothing(gl_context: GlContext, away: list[float]) -> None:
     eye = fitted_eye("northstar", 5)
     solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
     expected = solve.solve(viewpoint).read()
@@ -137,7 +142,9 @@ def test_a_viewpoint_far_away_gives_statuses_and_spoils_nothing(gl_context, away
 
 
 @pytest.mark.parametrize("viewpoint", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0]])
-def test_a_viewpoint_that_is_none_is_refused_and_the_next_frame_is_right(gl_context, viewpoint):
+def test_a_viewpoint_that_is_none_is_refused_and_the_next_frame_is_right(
+    gl_context: GlContext, viewpoint: Sequence[float]
+) -> None:
     eye = fitted_eye("freeform40", 3)
     solve = gl_solve(gl_context, eye)
     expected = solve.solve(at(eye, [0.6, 0.3, 0.9])).read()
@@ -147,7 +154,7 @@ def test_a_viewpoint_that_is_none_is_refused_and_the_next_frame_is_right(gl_cont
     assert_same(again.read(), expected)
 
 
-def test_two_solvers_and_other_drawing_do_not_disturb_each_other(gl_context):
+def test_two_solvers_and_other_drawing_do_not_disturb_each_other(gl_context: GlContext) -> None:
     eyes = [fitted_eye(device, 3) for device in DEVICES[:2]]
     solves = [gl_solve(gl_context, eye) for eye in eyes]
     alone = [solve.solve(at(eye, [0, 0, 1])).read() for solve, eye in zip(solves, eyes, strict=True)]
@@ -158,6 +165,6 @@ def test_two_solvers_and_other_drawing_do_not_disturb_each_other(gl_context):
         assert_same(solved.read(), expected)
 
 
-def test_mappings_without_a_formula_are_refused(gl_context, toy_headset):
+def test_mappings_without_a_formula_are_refused(gl_context: GlContext, toy_headset: Eye) -> None:
     with pytest.raises(BadInputError, match="toy: only planar models can be solved in a shader; use the node grid"):
         GlPlanarSolver(gl_context, toy_headset, picture(toy_headset), np.eye(3))

@@ -1,48 +1,53 @@
 import numpy as np
 import pytest
 from gl_scenes import at, cube, lit, quad, unlit, view
+from numpy.typing import ArrayLike, NDArray
+from present import present
 from warping import field_of_pixels, warp_pixels
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.gl.context import GlContext
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.srgb import decode_srgb
 from wlr_render.warp.gl_warp import GlWarp
-from wlr_render.warp.warp import WarpStatus
+from wlr_render.warp.gpu_image import GpuImage
+from wlr_render.warp.warp import WarpedImage, WarpStatus
 
 pytestmark = pytest.mark.gl
 
 CAMERA = Pinhole(96, 80, np.array([-0.5, -0.35]), np.array([0.4, 0.4]))
 
 
-def bend_field(tangents, offset=(0.0, 0.0)):
+def bend_field(tangents: FloatArray, offset: ArrayLike = (0.0, 0.0)) -> Float32Array:
     """(4, height, width) of tangents (height, width, 2) with one offset (c, d) for all pixels."""
     c, d = (np.full(tangents.shape[:2], x) for x in offset)
     return np.stack([tangents[..., 0], tangents[..., 1], c, d]).astype(np.float32)
 
 
-def straight(camera=CAMERA):
+def straight(camera: Pinhole = CAMERA) -> Float32Array:
     return bend_field(camera.pixel_centre_tangents())
 
 
 @pytest.fixture
-def busy_picture(gl_context):
+def busy_picture(gl_context: GlContext) -> GpuImage:
     scene = lit(
         (cube(0.5), at(0.1, 0, -1.5, transforms.rotation_about("y", 0.5))), (quad((-9, -9), (9, 9)), at(0, 0, -4))
     )
     return GlRaster(gl_context, scene).draw_on_gpu(view(CAMERA))
 
 
-def test_straight_rays_give_the_picture_back_bit_by_bit(gl_context, busy_picture):
+def test_straight_rays_give_the_picture_back_bit_by_bit(gl_context: GlContext, busy_picture: GpuImage) -> None:
     warped = warp_pixels(gl_context, busy_picture, [straight()])
     np.testing.assert_array_equal(warped.colour, busy_picture.read().colour)
     assert (warped.status == WarpStatus.SEEN).all()
     centres = np.stack(np.meshgrid(np.arange(96) + 0.5, np.arange(80) + 0.5), axis=-1)
-    np.testing.assert_allclose(warped.source, centres, atol=1e-4)
+    np.testing.assert_allclose(present(warped.source), centres, atol=1e-4)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.6])
-def test_source_on_a_plane_is_the_closed_form(gl_context, tilt):
+def test_source_on_a_plane_is_the_closed_form(gl_context: GlContext, tilt: float) -> None:
     turn = transforms.rotation_about("y", tilt)
     image = GlRaster(gl_context, unlit((quad((-9, -9), (9, 9)), at(0, 0, -2, turn)))).draw_on_gpu(view(CAMERA))
     tangents = 0.8 * CAMERA.pixel_centre_tangents()
@@ -53,11 +58,11 @@ def test_source_on_a_plane_is_the_closed_form(gl_context, tilt):
     depth = (normal @ [0, 0, -2] - normal[:2] @ offset) / (tangents @ normal[:2] - normal[2])
     expected = CAMERA.pixel_of_tangents(tangents + offset / depth[..., None])
     assert (warped.status == WarpStatus.SEEN).all()
-    np.testing.assert_allclose(warped.source, expected, atol=1e-3)
+    np.testing.assert_allclose(present(warped.source), expected, atol=1e-3)
     assert np.abs(expected - CAMERA.pixel_of_tangents(tangents)).min() > 0.3
 
 
-def two_walls(gl_context, offset_c):
+def two_walls(gl_context: GlContext, offset_c: float) -> tuple[WarpedImage, float]:
     """A near wall whose right edge lies on the pixel border u = 50, before a far one; warped with an offset in c."""
     edge = CAMERA.tangents_of_pixel(np.array([50.0, 0.0]))[0]
     red, blue = np.array([1, 0, 0], np.float32), np.array([0, 0, 1], np.float32)
@@ -68,11 +73,11 @@ def two_walls(gl_context, offset_c):
     return warp_pixels(gl_context, image, [slope_offset]), CAMERA.focal_px[0] * offset_c
 
 
-def test_where_two_surfaces_fit_the_near_one_hides_the_far_one(gl_context):
+def test_where_two_surfaces_fit_the_near_one_hides_the_far_one(gl_context: GlContext) -> None:
     # Rays that pass left of the camera: a pixel looks `shift` px to the left on the near wall, a quarter on the far.
     warped, shift = two_walls(gl_context, -0.05)
     near_limit = 50 - shift
-    row = warped.source[40]
+    row = present(warped.source)[40]
     column = np.arange(96) + 0.5
     expected = np.where(column < near_limit, column + shift, column + shift / 4)
     inside = expected > 0
@@ -81,7 +86,7 @@ def test_where_two_surfaces_fit_the_near_one_hides_the_far_one(gl_context):
     assert (warped.status[40, ~inside] == WarpStatus.OUTSIDE).all()
 
 
-def test_disoccluded_pixels_are_marked_and_filled_from_behind(gl_context):
+def test_disoccluded_pixels_are_marked_and_filled_from_behind(gl_context: GlContext) -> None:
     # Rays that pass right of the camera: behind the near wall's edge they meet a part of the far wall that it hides.
     warped, shift = two_walls(gl_context, 0.05)
     column = np.arange(96) + 0.5
@@ -95,15 +100,17 @@ def test_disoccluded_pixels_are_marked_and_filled_from_behind(gl_context):
     assert (warped.status[40, settled & inside] == WarpStatus.SEEN).all()
 
 
-def test_background_is_met_at_infinity(gl_context):
+def test_background_is_met_at_infinity(gl_context: GlContext) -> None:
     image = GlRaster(gl_context, unlit((cube(0.1), at(0, 0, -3)), background=(0.0, 1.0, 0.0))).draw_on_gpu(view(CAMERA))
     warped = warp_pixels(gl_context, image, [bend_field(CAMERA.pixel_centre_tangents(), (0.01, 0.0))])
-    np.testing.assert_allclose(warped.source[5, 5], [5.5, 5.5], atol=1e-3)
+    np.testing.assert_allclose(present(warped.source)[5, 5], [5.5, 5.5], atol=1e-3)
     np.testing.assert_array_equal(warped.colour[5, 5], [0, 255, 0])
     assert warped.status[5, 5] == WarpStatus.SEEN
 
 
-def test_pixels_without_a_ray_or_beyond_the_picture_show_the_background(gl_context, busy_picture):
+def test_pixels_without_a_ray_or_beyond_the_picture_show_the_background(
+    gl_context: GlContext, busy_picture: GpuImage
+) -> None:
     slope_offset = straight()
     slope_offset[2, 10:20, 30:40] = np.nan
     slope_offset[0, 50] += 2.0
@@ -116,10 +123,10 @@ def test_pixels_without_a_ray_or_beyond_the_picture_show_the_background(gl_conte
     np.testing.assert_array_equal(warped.status[sure], expected[sure])
     nothing = warped.status != WarpStatus.SEEN
     np.testing.assert_array_equal(warped.colour[nothing], [[1, 2, 3]] * nothing.sum())
-    np.testing.assert_array_equal(np.isnan(warped.source[..., 0]), nothing)
+    np.testing.assert_array_equal(np.isnan(present(warped.source)[..., 0]), nothing)
 
 
-def test_colour_between_pixels_is_bilinear_in_linear_light(gl_context, busy_picture):
+def test_colour_between_pixels_is_bilinear_in_linear_light(gl_context: GlContext, busy_picture: GpuImage) -> None:
     light = decode_srgb(busy_picture.read().colour)
     step = 1 / CAMERA.focal_px
     slope_offset = bend_field(CAMERA.pixel_centre_tangents() + [0.25 * step[0], -0.5 * step[1]])
@@ -130,16 +137,16 @@ def test_colour_between_pixels_is_bilinear_in_linear_light(gl_context, busy_pict
     np.testing.assert_allclose(warped.colour[:-1, :-1], expected, atol=1)
 
 
-def exact_code(light):
+def exact_code(light: Float32Array) -> FloatArray:
     """sRGB of linear light, 0 to 255, not rounded."""
     light = np.clip(light.astype(float), 0, 1)
     return 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
-def test_a_display_and_a_camera_of_new_sizes_are_followed(gl_context, busy_picture):
+def test_a_display_and_a_camera_of_new_sizes_are_followed(gl_context: GlContext, busy_picture: GpuImage) -> None:
     warp = GlWarp(gl_context)
 
-    def drawn(image, camera):
+    def drawn(image: GpuImage, camera: Pinhole) -> NDArray[np.uint8]:
         size = camera.width_px, camera.height_px
         return warp.draw(image, [field_of_pixels(gl_context, straight(camera))], np.eye(4), size).read().colour
 

@@ -2,22 +2,29 @@
 
 import ctypes
 import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import moderngl
 import numpy as np
 import pytest
-from gl_caller import assert_same, run
+from gl_caller import Caller, assert_same, run
+from numpy.typing import NDArray
 from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.compositor import Compositor
 
 pytestmark = pytest.mark.gl
 
 
-def own_frame(compositor, models, seen):
+def own_frame(
+    compositor: Callable[..., Any], models: Eye | Mapping[str, Eye], seen: FloatArray | Mapping[str, FloatArray]
+) -> list[NDArray[np.uint8]]:
     """What a compositor in a context of its own composes."""
     made = compositor(models, context="egl")
     draw(made, SceneSource(made, scene()), HEAD, seen)
@@ -25,7 +32,9 @@ def own_frame(compositor, models, seen):
     return [frame.read(eye) for eye in made.eyes]
 
 
-def test_two_eyes_through_odd_state_and_back(caller, compositor, flat_image_headset):
+def test_two_eyes_through_odd_state_and_back(
+    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     models = {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
     seen = {"left": viewpoint(flat_image_headset, -0.7, 0, 0), "right": viewpoint(flat_image_headset, 0.7, 0, 0)}
     expected = own_frame(compositor, models, seen)
@@ -50,7 +59,9 @@ def test_two_eyes_through_odd_state_and_back(caller, compositor, flat_image_head
     assert_same(caller.state(), before)
 
 
-def test_its_own_pictures_are_the_same_before_between_and_after(caller, compositor, flat_image_headset):
+def test_its_own_pictures_are_the_same_before_between_and_after(
+    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     caller.textures[3].use(0)
     caller.samplers[3].use(0)
     caller.framebuffer.use()
@@ -70,7 +81,9 @@ def test_its_own_pictures_are_the_same_before_between_and_after(caller, composit
     assert all(len(set(pixels)) > 1 for pixels in before)
 
 
-def test_faults_leave_the_state_and_the_next_frame_is_right(caller, compositor, flat_image_headset):
+def test_faults_leave_the_state_and_the_next_frame_is_right(
+    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     seen, wrong = viewpoint(flat_image_headset), caller.ctx.simple_framebuffer((3, 4))
     (expected,) = own_frame(compositor, flat_image_headset, seen)
     caller.ctx.__enter__()
@@ -99,7 +112,9 @@ def test_faults_leave_the_state_and_the_next_frame_is_right(caller, compositor, 
     assert_same(caller.state(), before)
 
 
-def test_a_context_that_is_not_current_is_refused_in_a_sentence(caller, compositor, flat_image_headset):
+def test_a_context_that_is_not_current_is_refused_in_a_sentence(
+    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     third = moderngl.create_context(standalone=True, require=430, backend="egl")
     caller.ctx.__enter__()
     made = compositor(flat_image_headset, context=caller.ctx)
@@ -123,7 +138,9 @@ def test_a_context_that_is_not_current_is_refused_in_a_sentence(caller, composit
     third.release()
 
 
-def test_the_current_context_takes_its_own_programs_objects_and_no_others(caller, compositor, flat_image_headset):
+def test_the_current_context_takes_its_own_programs_objects_and_no_others(
+    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     elsewhere = moderngl.create_context(standalone=True, require=410, backend="egl")
     caller.ctx.__enter__()
     made = compositor(flat_image_headset, context="current")
@@ -151,7 +168,9 @@ def test_the_current_context_takes_its_own_programs_objects_and_no_others(caller
 
 
 @pytest.mark.parametrize("host_state", ["kept", "clean"])
-def test_adopting_while_samples_or_a_layer_are_bound(caller, compositor, flat_image_headset, host_state):
+def test_adopting_while_samples_or_a_layer_are_bound(
+    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye, host_state: str
+) -> None:
     """ModernGL's start makes errors with such a framebuffer, which are no fault of the host."""
     ctx = caller.ctx
     several = ctx.framebuffer([ctx.texture((8, 8), 4, samples=4)], ctx.depth_texture((8, 8), samples=4))
@@ -169,7 +188,9 @@ def test_adopting_while_samples_or_a_layer_are_bound(caller, compositor, flat_im
         assert ctx.error == "GL_NO_ERROR"
 
 
-def test_release_where_the_context_is_not_current_warns_and_can_be_repeated(caller, compositor, flat_image_headset):
+def test_release_where_the_context_is_not_current_warns_and_can_be_repeated(
+    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     caller.ctx.__enter__()
     before = caller.objects()
     made = compositor(flat_image_headset, context=caller.ctx)
@@ -187,7 +208,7 @@ def test_release_where_the_context_is_not_current_warns_and_can_be_repeated(call
         made.begin_frame(HEAD, viewpoint(flat_image_headset))
 
 
-def test_what_is_no_context_is_told_in_a_sentence(caller, flat_image_headset):
+def test_what_is_no_context_is_told_in_a_sentence(caller: Caller, flat_image_headset: Eye) -> None:
     for context in (None, 5):
         with pytest.raises(BadInputError, match=r"is not an OpenGL context; give .* auto, egl, osmesa, current"):
             Compositor(flat_image_headset, SMALL, context=context)
@@ -199,7 +220,7 @@ def test_what_is_no_context_is_told_in_a_sentence(caller, flat_image_headset):
 
 
 @pytest.mark.slow
-def test_an_old_context_is_refused_in_a_sentence_and_stays_usable(caller):
+def test_an_old_context_is_refused_in_a_sentence_and_stays_usable(caller: Caller) -> None:
     told = run(
         """
         import moderngl
@@ -226,7 +247,7 @@ def test_an_old_context_is_refused_in_a_sentence_and_stays_usable(caller):
 
 
 @pytest.mark.slow
-def test_in_a_plain_pyrender_program(caller):
+def test_in_a_plain_pyrender_program(caller: Caller) -> None:
     told = run(
         """
         import pyglet

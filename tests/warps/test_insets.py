@@ -1,5 +1,8 @@
 """Insets: sharp pictures of a part of an eye's field over a wide one, without a seam."""
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import moderngl
 import numpy as np
 import pytest
@@ -10,7 +13,11 @@ from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.srgb import encode_srgb
+from wlr_render.warp.composed_frame import ComposedFrame
+from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.eye_camera import EyeCamera
 from wlr_render.warp.panel_light import PanelLight
 from wlr_render.warp.picture_import import BORDER
@@ -26,13 +33,15 @@ RESOLUTION, SHARPER = 0.5, 4  # of the wide picture; pixels of the inset for eac
 CLOSE_PX = 0.1  # the depths of both pictures, and where their rays meet them, are not the same to the last bit
 
 
-def begun(compositor, model, resolution=RESOLUTION, **options):
+def begun(
+    compositor: Callable[..., Any], model: Eye | Mapping[str, list[Eye]], resolution: float = RESOLUTION, **options: Any
+) -> tuple[Compositor, EyeCamera]:
     """A compositor and the camera of its first frame; its pictures are wide, or as sharp as the insets."""
     made = compositor(model, SIZE, resolution=resolution, **options)
     return made, made.begin_frame(HEAD, viewpoint(planar()))["right"]
 
 
-def inset_of(camera: EyeCamera, share=0.4, sharper=SHARPER):
+def inset_of(camera: EyeCamera, share: float = 0.4, sharper: int = SHARPER) -> EyeCamera:
     """An inset beside the middle that covers this share of a picture's width and height."""
     left, right, up, down = np.tan(camera.fov_rad)
     x, y = 0.55 * left + 0.45 * right, 0.45 * up + 0.55 * down
@@ -42,18 +51,18 @@ def inset_of(camera: EyeCamera, share=0.4, sharper=SHARPER):
     return camera.inset(tuple(fov_rad), tuple(np.ceil(size).astype(int)))
 
 
-def picture(camera: EyeCamera):
+def picture(camera: EyeCamera) -> tuple[Float32Array, Float32Array]:
     """Light of fine waves, (height, width, 3) float32, and the inverse depth of a slanted wall."""
     x, y = np.moveaxis(camera.view.camera.pixel_centre_tangents(), -1, 0)
     waves = [0.5 + 0.3 * np.sin(90 * x + k) * np.cos(70 * y - k) for k in range(3)]
     return np.stack(waves, axis=-1).astype(np.float32), (0.8 + 0.5 * x - 0.3 * y).astype(np.float32)
 
 
-def submit(made, camera, inset=None, **given):
+def submit(made: Compositor, camera: EyeCamera, inset: EyeCamera | None = None, **given: Any) -> None:
     made.submit(*picture(inset or camera), stored=INVERSE, stored_colour=LINEAR, inset=inset, **given)
 
 
-def share_of_inset(frame, camera, inset):
+def share_of_inset(frame: ComposedFrame, camera: EyeCamera, inset: EyeCamera) -> FloatArray:
     """(height, width): how much of the inset each pixel of a frame should show, from 0 outside it to 1."""
     source = camera.view.camera.tangents_of_pixel(frame.source().astype(np.float64))
     pixel, size = inset.view.camera.pixel_of_tangents(source), np.array(inset.size_px)
@@ -64,13 +73,17 @@ def share_of_inset(frame, camera, inset):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["one", "three", "rolling"])
-def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(compositor, kind):
+def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(
+    compositor: Callable[..., Any], kind: str
+) -> None:
     model = planar()
     models = {"right": [model] * 3} if kind == "three" else model
     (wide, camera), (sharp, sharp_camera) = (
         begun(compositor, models, each * RESOLUTION, panel=FLOATS) for each in (1, SHARPER)
     )
-    newest = {"pose": LATER} | ({"pose_at_last_row": LATER @ at(0.004, 0, 0)} if kind == "rolling" else {})
+    newest: dict[str, Any] = {"pose": LATER} | (
+        {"pose_at_last_row": LATER @ at(0.004, 0, 0)} if kind == "rolling" else {}
+    )
     submit(sharp, sharp_camera)
     as_sharp = sharp.compose(**newest).read().astype(np.float64)
     submit(wide, camera)
@@ -109,7 +122,7 @@ def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(compositor
 
 
 @pytest.mark.slow
-def test_edges_are_as_sharp_as_the_insets_depth(compositor):
+def test_edges_are_as_sharp_as_the_insets_depth(compositor: Callable[..., Any]) -> None:
     model, renderer = planar(), RayRenderer(scene())
     truth = traced(model, SIZE, viewpoint(model), LATER, renderer)
     (wide, camera), (sharp, sharp_camera) = (begun(compositor, model, each * RESOLUTION) for each in (1, SHARPER))
@@ -135,7 +148,7 @@ def test_edges_are_as_sharp_as_the_insets_depth(compositor):
 
 
 @pytest.mark.slow
-def test_an_inset_in_an_inset_and_frames_without(compositor):
+def test_an_inset_in_an_inset_and_frames_without(compositor: Callable[..., Any]) -> None:
     model = planar()
     made, camera = begun(compositor, model, panel=FLOATS)
     middle = inset_of(camera, 0.6, 2)
@@ -159,7 +172,7 @@ def test_an_inset_in_an_inset_and_frames_without(compositor):
     np.testing.assert_array_equal(made.compose(pose=LATER).read(), with_middle)
 
 
-def test_an_inset_without_depth_has_that_of_the_picture_around_it(compositor):
+def test_an_inset_without_depth_has_that_of_the_picture_around_it(compositor: Callable[..., Any]) -> None:
     made, camera = begun(compositor, planar(), panel=FLOATS)
     inset = inset_of(camera)
     submit(made, camera)
@@ -176,7 +189,7 @@ def test_an_inset_without_depth_has_that_of_the_picture_around_it(compositor):
     assert np.abs(shared - expected).max() < 2 * shift_px * slope + 2**-9
 
 
-def test_insets_of_all_kinds_of_pictures(compositor):
+def test_insets_of_all_kinds_of_pictures(compositor: Callable[..., Any]) -> None:
     model = planar()
     made, camera = begun(compositor, model)
     light, inverse = picture(inset_of(camera))
@@ -208,7 +221,7 @@ def test_insets_of_all_kinds_of_pictures(compositor):
         assert np.abs(each - shown["arrays"]).max() <= 1, name
 
 
-def test_alpha_runs_from_one_picture_to_the_other(compositor):
+def test_alpha_runs_from_one_picture_to_the_other(compositor: Callable[..., Any]) -> None:
     model = planar()
     made, camera = begun(compositor, model, panel=FLOATS)
     inset, alpha = inset_of(camera), StoredColour("linear", alpha=True)
@@ -226,7 +239,9 @@ def test_alpha_runs_from_one_picture_to_the_other(compositor):
         made.submit(rgba, inverse, stored=INVERSE, stored_colour=alpha, inset=inset_of(again))
 
 
-def test_insets_that_cannot_be_are_refused_and_the_frame_stays(compositor, flat_image_headset):
+def test_insets_that_cannot_be_are_refused_and_the_frame_stays(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     model = planar()
     made, camera = begun(compositor, model)
     inset = inset_of(camera)
@@ -279,7 +294,7 @@ def test_insets_that_cannot_be_are_refused_and_the_frame_stays(compositor, flat_
         made.submit(light, inverse, stored=INVERSE, stored_colour=LINEAR, inset=newer)
 
 
-def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor):
+def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor: Callable[..., Any]) -> None:
     model = planar()
     made, camera = begun(compositor, model)
     left, right, up, down = camera.fov_rad
@@ -291,7 +306,9 @@ def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor):
 
 
 @pytest.mark.slow
-def test_prepared_compositors_compile_nothing_for_insets(compositor, monkeypatch):
+def test_prepared_compositors_compile_nothing_for_insets(
+    compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     made, camera = begun(compositor, planar(), context="egl")
     made.prepare(overlays=0, insets=True)
     with made.context.drawing() as ctx:

@@ -3,12 +3,14 @@
 import ctypes
 import gc
 import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import moderngl
 import numpy as np
 import pytest
-from gl_caller import assert_same
+from gl_caller import Caller, assert_same
 from gl_scenes import at
 from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
@@ -20,23 +22,29 @@ from wlr_render.engine import FrameHandle
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.gl.readback import Readback
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray
 
 pytestmark = pytest.mark.gl
 MOVED = HEAD @ at(0.004, -0.002, 0.003, transforms.rotation_about("y", 0.01))
 
 
 @pytest.fixture
-def pair(flat_image_headset):
+def pair(flat_image_headset: Eye) -> dict[str, Eye]:
     return {"left": replace(flat_image_headset, eye="left"), "right": flat_image_headset}
 
 
 @pytest.fixture
-def both(compositor, pair):
+def both(
+    compositor: Callable[..., Any], pair: Mapping[str, Eye]
+) -> tuple[Compositor, SceneSource, dict[str, FloatArray]]:
     made = compositor(pair)
     return made, SceneSource(made, scene()), dict.fromkeys(pair, viewpoint(pair["right"]))
 
 
-def test_a_missed_frame_is_shown_again_at_the_newest_pose(compositor, flat_image_headset):
+def test_a_missed_frame_is_shown_again_at_the_newest_pose(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     source = SceneSource(made, scene())
     draw(made, source, HEAD, seen)
@@ -47,7 +55,9 @@ def test_a_missed_frame_is_shown_again_at_the_newest_pose(compositor, flat_image
     assert (late != still).any()
 
 
-def test_a_frame_says_which_viewpoints_and_pose_it_was_composed_for(both):
+def test_a_frame_says_which_viewpoints_and_pose_it_was_composed_for(
+    both: tuple[Compositor, SceneSource, dict[str, FloatArray]],
+) -> None:
     made, source, pupils = both
     draw(made, source, HEAD, pupils)
     newer = pupils["right"] + 1e-3
@@ -59,14 +69,16 @@ def test_a_frame_says_which_viewpoints_and_pose_it_was_composed_for(both):
     assert [*made.compose(eyes=("left",)).viewpoints] == ["left"]
 
 
-def test_frames_may_be_submitted_late_but_not_out_of_order(compositor, flat_image_headset):
+def test_frames_may_be_submitted_late_but_not_out_of_order(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     source = SceneSource(made, scene())
     frames = [made.begin_frame(pose, seen) for pose in (HEAD, HEAD, MOVED, HEAD)]
     assert all(isinstance(frame, FrameHandle) and [*frame] == ["right"] for frame in frames)
     raster = GlRaster(made.context, scene())
 
-    def submit(number):
+    def submit(number: int) -> None:
         camera = frames[number]["right"]
         made.submit(raster.draw_on_gpu(camera.view), frame=frames[number])
 
@@ -87,7 +99,7 @@ def test_frames_may_be_submitted_late_but_not_out_of_order(compositor, flat_imag
     np.testing.assert_array_equal(made.compose().read(), shown)
 
 
-def test_a_gpu_picture_of_another_pose_is_refused(compositor, flat_image_headset):
+def test_a_gpu_picture_of_another_pose_is_refused(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     raster = GlRaster(made.context, scene())
     old = raster.draw_on_gpu(made.begin_frame(HEAD, seen)["right"].view)
@@ -99,7 +111,9 @@ def test_a_gpu_picture_of_another_pose_is_refused(compositor, flat_image_headset
 
 
 @pytest.mark.parametrize("materials", ["own", "gltf"])
-def test_a_gpu_picture_that_was_drawn_over_is_not_shown_for_the_old_pose(compositor, flat_image_headset, materials):
+def test_a_gpu_picture_that_was_drawn_over_is_not_shown_for_the_old_pose(
+    compositor: Callable[..., Any], flat_image_headset: Eye, materials: str
+) -> None:
     made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     raster, first = SceneRaster(made.context, scene(), materials), made.begin_frame(HEAD, seen)
     made.submit(raster.draw_on_gpu(first["right"].view, "even"))
@@ -117,7 +131,9 @@ def test_a_gpu_picture_that_was_drawn_over_is_not_shown_for_the_old_pose(composi
     assert (made.compose(pose=HEAD).read() != shown).any()
 
 
-def test_one_eye_may_be_begun_submitted_and_composed_alone(both):
+def test_one_eye_may_be_begun_submitted_and_composed_alone(
+    both: tuple[Compositor, SceneSource, dict[str, FloatArray]],
+) -> None:
     made, source, seen = both
     (left,) = made.begin_frame(HEAD, {"left": seen["left"]}).values()
     with pytest.raises(BadInputError, match="right eye has no camera in this frame; name its viewpoint"):
@@ -137,7 +153,9 @@ def test_one_eye_may_be_begun_submitted_and_composed_alone(both):
             made.compose(eyes=eyes)
 
 
-def test_eyes_at_different_rates_each_show_their_newest_picture(both):
+def test_eyes_at_different_rates_each_show_their_newest_picture(
+    both: tuple[Compositor, SceneSource, dict[str, FloatArray]],
+) -> None:
     made, source, seen = both
     draw(made, source, HEAD, seen)
     expected = made.compose(pose=MOVED).read("left")
@@ -150,7 +168,9 @@ def test_eyes_at_different_rates_each_show_their_newest_picture(both):
     np.testing.assert_array_equal(made.compose().read("right"), right_alone)
 
 
-def test_an_overwritten_frame_is_refused_and_the_newest_is_not(both):
+def test_an_overwritten_frame_is_refused_and_the_newest_is_not(
+    both: tuple[Compositor, SceneSource, dict[str, FloatArray]],
+) -> None:
     made, source, seen = both
     draw(made, source, HEAD, seen)
     old = made.compose(with_source=True)
@@ -165,7 +185,7 @@ def test_an_overwritten_frame_is_refused_and_the_newest_is_not(both):
             call()
 
 
-def test_a_compositor_that_is_not_released_warns(flat_image_headset, caller):
+def test_a_compositor_that_is_not_released_warns(flat_image_headset: Eye, caller: Caller) -> None:
     made = Compositor(flat_image_headset, SMALL, context=caller.ctx)
     with pytest.warns(ResourceWarning, match="Compositor was not released"):
         made = None
@@ -183,7 +203,9 @@ def test_a_compositor_that_is_not_released_warns(flat_image_headset, caller):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("channels", [1, 3])
-def test_prepared_compositors_compile_nothing_later(compositor, monkeypatch, channels):
+def test_prepared_compositors_compile_nothing_later(
+    compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, channels: int
+) -> None:
     made = compositor({"right": [planar()] * channels}, context="egl")
     made.prepare()
     source = SceneSource(made, scene())
@@ -206,7 +228,9 @@ def test_prepared_compositors_compile_nothing_later(compositor, monkeypatch, cha
     assert compiled
 
 
-def test_pictures_are_read_without_waiting_and_stay_as_they_were(compositor, flat_image_headset):
+def test_pictures_are_read_without_waiting_and_stay_as_they_were(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made = compositor(flat_image_headset)
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
     first = made.compose()
@@ -243,7 +267,9 @@ def test_pictures_are_read_without_waiting_and_stay_as_they_were(compositor, fla
         made.compose()
 
 
-def test_reading_back_leaves_an_adopted_context_and_no_fences_behind(caller, compositor, flat_image_headset):
+def test_reading_back_leaves_an_adopted_context_and_no_fences_behind(
+    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made = compositor(flat_image_headset, context=caller.ctx)
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
     frame = made.compose()
@@ -261,12 +287,14 @@ def test_reading_back_leaves_an_adopted_context_and_no_fences_behind(caller, com
     assert_same(caller.state(), before)
 
 
-def _framebuffer(made):
+def _framebuffer(made: Compositor) -> moderngl.Framebuffer:
     with made.context.drawing() as ctx:
         return ctx.simple_framebuffer(SMALL)
 
 
-def test_a_scan_from_the_bottom_turns_the_poses_of_the_rows_round(compositor, flat_image_headset):
+def test_a_scan_from_the_bottom_turns_the_poses_of_the_rows_round(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made = compositor(flat_image_headset)
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
     upwards = made.compose(pose=HEAD, pose_at_last_row=MOVED, scan="up").read()
@@ -276,13 +304,15 @@ def test_a_scan_from_the_bottom_turns_the_poses_of_the_rows_round(compositor, fl
         made.compose(pose_at_last_row=MOVED, scan="left")
 
 
-def moving(time_s):
+def moving(time_s: float) -> tuple[FloatArray, FloatArray]:
     """Head and pupil at a constant velocity."""
     return HEAD @ at(0.4 * time_s, 0, 0, np.eye(3)), np.array([0.05 * time_s, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("late_s", [0.004, 0.008, 0.015])
-def test_a_pipelined_engine_is_predicted(compositor, flat_image_headset, late_s):
+def test_a_pipelined_engine_is_predicted(
+    compositor: Callable[..., Any], flat_image_headset: Eye, late_s: float
+) -> None:
     made, box = compositor(flat_image_headset), flat_image_headset.eye_box
     source, period_s = SceneSource(made, scene()), 0.011
     for k in range(4):
@@ -297,7 +327,9 @@ def test_a_pipelined_engine_is_predicted(compositor, flat_image_headset, late_s)
         np.testing.assert_allclose(late.world_from_device, moving(time_s + late_s + 0.005)[0], atol=1e-9)
 
 
-def test_poses_and_pupils_are_predicted_from_the_last_two(compositor, flat_image_headset):
+def test_poses_and_pupils_are_predicted_from_the_last_two(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made, seen = compositor(flat_image_headset), flat_image_headset.eye_box.centre
     step = np.array([0.0005, 0.0, 0.0])
     half, whole = (HEAD @ at(x, 0, 0, transforms.rotation_about("y", x)) for x in (0.004, 0.008))

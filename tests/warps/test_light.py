@@ -1,9 +1,14 @@
 """Light of pictures and panels, against closed forms."""
 
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
 import moderngl
 import numpy as np
 import pytest
 from gl_scenes import at
+from numpy import floating, number
+from numpy.typing import NDArray
 from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
@@ -11,7 +16,10 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.gl.framebuffers import TextureLayer
 from wlr_render.gl.gl import GlContext
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.srgb import decode_srgb
+from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.panel_light import PanelLight
 from wlr_render.warp.stored_picture import StoredColour
 
@@ -25,14 +33,16 @@ AWAY = HEAD @ at(0, 0, 0, transforms.rotation_about("y", 0.1))  # a part of the 
 
 
 @pytest.fixture
-def theirs(gl_context):
+def theirs(gl_context: GlContext) -> Iterator[moderngl.Context]:
     """A caller's context; `gl_context` skips the test where there is no OpenGL."""
     made = moderngl.create_context(standalone=True, require=430, backend="egl")
     yield made
     made.release()
 
 
-def shown(made, model, picture, pose=HEAD, **stored):
+def shown(
+    made: Compositor, model: Eye, picture: Callable[..., Any], pose: FloatArray = HEAD, **stored: Any
+) -> NDArray[Any]:
     """RGBA of a composed picture that is 1 m away, from what `picture(size)` returns."""
     (camera,) = made.begin_frame(HEAD, viewpoint(model)).values()
     colour = picture(camera.size_px)
@@ -52,22 +62,26 @@ def shown(made, model, picture, pose=HEAD, **stored):
     return pixels
 
 
-def grey(value, dtype):
+def grey(value: float, dtype: type[number]) -> Callable[..., Any]:
     return lambda size: np.full((*size[::-1], 3), value, dtype)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16])
-def test_linear_arrays_are_encoded_on_output(compositor, flat_image_headset, dtype):
+def test_linear_arrays_are_encoded_on_output(
+    compositor: Callable[..., Any], flat_image_headset: Eye, dtype: type[floating]
+) -> None:
     made = compositor(flat_image_headset)
     assert (shown(made, flat_image_headset, grey(0.5, dtype), encoding="linear")[INSIDE][..., :3] == HALF_LIGHT).all()
     codes = shown(made, flat_image_headset, grey(HALF_LIGHT / 255, dtype))[INSIDE][..., :3]
     assert (codes == HALF_LIGHT).all()
 
 
-def textures(made, value, dtype, internal_format=None):
+def textures(
+    made: Compositor, value: float, dtype: str, internal_format: int | None = None
+) -> Iterator[Callable[..., Any]]:
     """A texture of one grey, given as a texture, as a layer that is copied, and of several samples."""
 
-    def make(size, samples=0):
+    def make(size: tuple[int, int], samples: int = 0) -> moderngl.Texture:
         more = {} if internal_format is None else {"internal_format": internal_format}
         with made.context.drawing() as ctx:
             texture = ctx.texture(size, 4, dtype=dtype, samples=samples, **more)
@@ -81,7 +95,7 @@ def textures(made, value, dtype, internal_format=None):
 
 
 @pytest.mark.parametrize("dtype", ["f1", "f2", "f4"])
-def test_linear_textures(compositor, flat_image_headset, dtype):
+def test_linear_textures(compositor: Callable[..., Any], flat_image_headset: Eye, dtype: str) -> None:
     made = compositor(flat_image_headset)
     for picture in textures(made, 0.5, dtype):
         pixels = shown(made, flat_image_headset, picture, encoding="linear")[INSIDE]
@@ -89,13 +103,17 @@ def test_linear_textures(compositor, flat_image_headset, dtype):
 
 
 @pytest.mark.parametrize("encoding", ["srgb", "linear"])
-def test_textures_of_an_srgb_format_hold_codes(compositor, flat_image_headset, encoding):
+def test_textures_of_an_srgb_format_hold_codes(
+    compositor: Callable[..., Any], flat_image_headset: Eye, encoding: str
+) -> None:
     made = compositor(flat_image_headset)
     for picture in textures(made, 100 / 255, "f1", SRGB8_ALPHA8):
         assert (shown(made, flat_image_headset, picture, encoding=encoding)[INSIDE][..., :3] == 100).all()
 
 
-def test_codes_that_a_driver_decodes_in_any_case_are_taken_as_light(compositor, flat_image_headset, monkeypatch):
+def test_codes_that_a_driver_decodes_in_any_case_are_taken_as_light(
+    compositor: Callable[..., Any], flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(GlContext, "reads_srgb_codes", False)  # as without GL_EXT_texture_sRGB_decode
     made = compositor(flat_image_headset, context="egl")
     for internal_format in (None, SRGB8_ALPHA8):
@@ -104,7 +122,7 @@ def test_codes_that_a_driver_decodes_in_any_case_are_taken_as_light(compositor, 
 
 
 @pytest.mark.parametrize("bits", [10, 12, 16])
-def test_deep_codes_come_out_as_deep_codes(compositor, flat_image_headset, bits):
+def test_deep_codes_come_out_as_deep_codes(compositor: Callable[..., Any], flat_image_headset: Eye, bits: int) -> None:
     made = compositor(flat_image_headset, panel=PanelLight(bits=10))
     for code in (1, 37, 500, 813, 1023):
         stored = round(code * ((1 << bits) - 1) / 1023)
@@ -116,25 +134,27 @@ def test_deep_codes_come_out_as_deep_codes(compositor, flat_image_headset, bits)
         assert (np.rint(pixels / 65535 * 1023) == 37).all()
 
 
-def stripes(size):
+def stripes(size: tuple[int, int]) -> Float32Array:
     """Light of 0 and 1.2 in turns of a pixel."""
     return np.broadcast_to((1.2 * (np.arange(size[0]) % 2))[:, None], (size[1], size[0], 3)).astype(np.float32)
 
 
-def test_light_is_clipped_on_output_only(compositor, flat_image_headset):
+def test_light_is_clipped_on_output_only(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, resolution=2.0)
     pixels = shown(made, flat_image_headset, stripes, encoding="linear")[INSIDE][..., :3]
     assert decode_srgb(pixels).mean() == pytest.approx(0.6, abs=0.01)
 
 
-def table():
+def table() -> FloatArray:
     """A panel whose three primaries have three curves, black levels and ends."""
     code = np.linspace(0, 1, 256)
     return np.stack([code**2.2, 0.01 + 0.9 * code**1.8, 0.5 * code + 0.5 * code**3], axis=-1)
 
 
 @pytest.mark.parametrize("light", [0.0, 0.003, 0.02, 0.2, 0.5, 0.95, 1.0])
-def test_codes_of_every_encoding_give_the_light(compositor, flat_image_headset, light):
+def test_codes_of_every_encoding_give_the_light(
+    compositor: Callable[..., Any], flat_image_headset: Eye, light: float
+) -> None:
     measured = table()
     inverse = [np.interp(light, column, np.linspace(0, 1, 256)) for column in measured.T]
     for encoding, codes in (
@@ -148,7 +168,7 @@ def test_codes_of_every_encoding_give_the_light(compositor, flat_image_headset, 
         np.testing.assert_allclose(pixels, np.broadcast_to(codes, pixels.shape), atol=2**-11 + 1e-4)
 
 
-def test_linear_half_floats_keep_more_than_white(compositor, flat_image_headset):
+def test_linear_half_floats_keep_more_than_white(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, panel=PanelLight("linear", bits=16))
     pixels = shown(made, flat_image_headset, grey(3.5, np.float32), encoding="linear")[INSIDE][..., :3]
     assert pixels.dtype == np.float16
@@ -157,7 +177,9 @@ def test_linear_half_floats_keep_more_than_white(compositor, flat_image_headset)
 
 @pytest.mark.parametrize("per_primary", [False, True])
 @pytest.mark.parametrize("encoding", ["linear", table()])
-def test_uniformity_multiplies_the_light(compositor, flat_image_headset, per_primary, encoding):
+def test_uniformity_multiplies_the_light(
+    compositor: Callable[..., Any], flat_image_headset: Eye, per_primary: bool, encoding: FloatArray | str
+) -> None:
     shape = (*SMALL[::-1], 3) if per_primary else SMALL[::-1]
     factors = np.random.default_rng(0).uniform(0.2, 1, shape)
     made = compositor(flat_image_headset, panel=PanelLight(encoding, factors, bits=16))
@@ -175,7 +197,9 @@ def test_uniformity_multiplies_the_light(compositor, flat_image_headset, per_pri
     np.testing.assert_allclose(shown_there[INSIDE] / 255, light[INSIDE], atol=1.5 / 255)
 
 
-def test_a_texture_made_between_frames_does_not_take_the_maps_place(compositor, flat_image_headset, theirs):
+def test_a_texture_made_between_frames_does_not_take_the_maps_place(
+    compositor: Callable[..., Any], flat_image_headset: Eye, theirs: moderngl.Context
+) -> None:
     factors = np.random.default_rng(0).uniform(0.2, 1, SMALL[::-1])
     made = compositor(flat_image_headset, context=theirs, panel=PanelLight(table(), factors))
     expected = shown(made, flat_image_headset, grey(99, np.uint8))[..., :3]
@@ -188,7 +212,9 @@ def test_a_texture_made_between_frames_does_not_take_the_maps_place(compositor, 
 
 
 @pytest.mark.parametrize("kind", ["planar", "flat image"])
-def test_each_primary_shows_what_its_sub_pixel_sees(compositor, flat_image_headset, kind):
+def test_each_primary_shows_what_its_sub_pixel_sees(
+    compositor: Callable[..., Any], flat_image_headset: Eye, kind: str
+) -> None:
     model = planar() if kind == "planar" else flat_image_headset
     offsets = np.array([[-1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
     plain, shifted = (compositor(model, panel=panel) for panel in (PanelLight(), PanelLight(sub_pixel_px=offsets)))
@@ -204,17 +230,19 @@ def test_each_primary_shows_what_its_sub_pixel_sees(compositor, flat_image_heads
     assert (together[:, 0, 0] > 0).all()
 
 
-def composed(made, model):
+def composed(made: Compositor, model: Eye) -> NDArray[np.uint8]:
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(model))
     return made.compose().read()
 
 
-def premultiplied(size):
+def premultiplied(size: tuple[int, int]) -> Float32Array:
     """Light of 0.25 at an alpha of 0.25."""
     return np.full((size[1], size[0], 4), 0.25, np.float32)
 
 
-def test_alpha_comes_out_filtered_and_0_beside_the_picture(compositor, flat_image_headset):
+def test_alpha_comes_out_filtered_and_0_beside_the_picture(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made = compositor(flat_image_headset, panel=PanelLight("linear"))
     pixels = shown(made, flat_image_headset, premultiplied, encoding="linear", alpha=True)
     assert (pixels[INSIDE] == 64).all()
@@ -233,7 +261,7 @@ def test_alpha_comes_out_filtered_and_0_beside_the_picture(compositor, flat_imag
     assert (opaque[..., 3] == 255).all()
 
 
-def test_alpha_of_bytes(compositor, flat_image_headset):
+def test_alpha_of_bytes(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made = compositor([flat_image_headset] * 3)
     picture = np.array([10, 20, 30, 77], np.uint8)
     for alpha, expected in ((True, 77), (False, 255)):
@@ -241,7 +269,7 @@ def test_alpha_of_bytes(compositor, flat_image_headset):
         assert (pixels[INSIDE] == [10, 20, 30, expected]).all()
 
 
-def test_eyes_have_their_own_panels(compositor, flat_image_headset):
+def test_eyes_have_their_own_panels(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     dim = PanelLight(uniformity=np.full(SMALL[::-1], 0.5))
     made = compositor({"right": flat_image_headset}, panel={"right": dim, "left": PanelLight()})
     assert (shown(made, flat_image_headset, grey(255, np.uint8))[INSIDE][..., :3] == HALF_LIGHT).all()
@@ -269,13 +297,13 @@ NOT_FINITE = np.full((4, 3), np.nan)
         ({"bits": 12}, "bits is 12"),
     ],
 )
-def test_panels_that_cannot_be_are_refused(settings, words):
+def test_panels_that_cannot_be_are_refused(settings: dict[str, Any], words: str) -> None:
     with pytest.raises(BadInputError, match=words) as told:
         PanelLight(**settings)
     assert "\n" not in str(told.value)
 
 
-def test_panels_of_another_size_are_refused(compositor, flat_image_headset):
+def test_panels_of_another_size_are_refused(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     for panel, words in (
         (PanelLight(uniformity=np.ones(SMALL)), "has 60 x 72 pixels, and its picture 72 x 60"),
         ("srgb", "panel of the right eye is 'srgb'; give a PanelLight"),
@@ -289,7 +317,7 @@ def test_panels_of_another_size_are_refused(compositor, flat_image_headset):
     ("settings", "words"),
     [({"encoding": "gamma"}, "choose from srgb, linear"), ({"bits": 9}, "8, 10, 12, 16"), ({"alpha": 1}, "alpha is 1")],
 )
-def test_colours_that_cannot_be_are_refused(settings, words):
+def test_colours_that_cannot_be_are_refused(settings: Mapping[str, Any], words: str) -> None:
     with pytest.raises(BadInputError, match=words):
         StoredColour(**settings)
 
@@ -306,8 +334,8 @@ def test_colours_that_cannot_be_are_refused(settings, words):
     ],
 )
 def test_pictures_of_other_colours_are_refused_and_change_nothing(
-    compositor, flat_image_headset, colour, stored, words
-):
+    compositor: Callable[..., Any], flat_image_headset: Eye, colour: NDArray[Any], stored: StoredColour, words: str
+) -> None:
     made = compositor(flat_image_headset)
     before = shown(made, flat_image_headset, grey(99, np.uint8))
     (camera,) = made.begin_frame(HEAD, viewpoint(flat_image_headset)).values()

@@ -11,11 +11,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from present import present
 
 from wlr_render.jobs.headset import open_eye
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
@@ -26,7 +30,7 @@ RUNTIME = Path("/usr/share/openxr/1/openxr_monado.json")
 WINDOW = 960, 540  # of Monado for a headset of 1920 x 1080
 
 
-def wait_for(condition, process, log, seconds=60):
+def wait_for(condition: Callable[..., Any], process, log: Path, seconds: int = 60) -> None:
     """Wait until a process has come so far."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -36,7 +40,7 @@ def wait_for(condition, process, log, seconds=60):
 
 
 @contextlib.contextmanager
-def running(command, log, **settings):
+def running(command: Sequence[Any], log: Path, **settings: Any) -> Iterator[Any]:
     with log.open("wb") as written:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=written, stderr=written, **settings)
     try:
@@ -47,7 +51,7 @@ def running(command, log, **settings):
 
 
 @contextlib.contextmanager
-def running_monado(config, **settings):
+def running_monado(config: dict[str, Any], **settings: str) -> Iterator[Any]:
     """Environment of a program that uses Monado; the test is skipped where it is not installed."""
     if importlib.util.find_spec("xr") is None:  # its import would choose PyOpenGL's platform for this process
         pytest.skip("pyopenxr is not installed; pip install '.[xr]'.")
@@ -67,12 +71,12 @@ def running_monado(config, **settings):
 
 
 @pytest.fixture(scope="module")
-def swaying():
+def swaying() -> Iterator[Any]:
     with running_monado({}, XRT_COMPOSITOR_NULL="1", SIMULATED_ENABLE="1") as environment:
         yield environment
 
 
-def run(environment, folder, *arguments):
+def run(environment, folder: Path, *arguments: object) -> tuple[Any, list[Any]]:
     """What the example prints, and its pictures of both eyes."""
     command = [sys.executable, str(EXAMPLE), *arguments]
     result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=200)
@@ -81,26 +85,26 @@ def run(environment, folder, *arguments):
     return result.stdout, [cv2.imread(str(folder / f"{eye}.png")) for eye in ("left", "right")]
 
 
-def check_pictures(left, right):
+def check_pictures(left, right) -> None:
     """Cubes on black, seen by two eyes."""
     for picture in (left, right):
         assert 0.05 < (picture.max(axis=-1) > 50).mean() < 0.95
     assert (left != right).any(axis=-1).mean() > 0.02
 
 
-def test_poses_of_a_headless_session_move_the_pictures(swaying, tmp_path):
+def test_poses_of_a_headless_session_move_the_pictures(swaying: Any, tmp_path: Path) -> None:
     printed, pictures = run(swaying, tmp_path)
-    assert float(re.search(r"20 frames; the head moved ([\d.]+) mm", printed)[1]) > 0.5
+    assert float(present(re.search(r"20 frames; the head moved ([\d.]+) mm", printed))[1]) > 0.5
     assert "OpenGL: GL_NO_ERROR" in printed
     check_pictures(*pictures)
 
 
-def test_what_the_runtime_locates_is_recorded_and_read_as_trajectories(swaying, tmp_path):
+def test_what_the_runtime_locates_is_recorded_and_read_as_trajectories(swaying: Any, tmp_path: Path) -> None:
     printed, _ = run(swaying, tmp_path)
     head, eyes = (read(tmp_path / "recording.jsonl") for read in (read_head_trajectory, read_eye_trajectory))
     moved_mm = 1e3 * np.ptp(head.position_in_world, axis=0).max()
     assert len(head.time_s) == 20
-    assert moved_mm == pytest.approx(float(re.search(r"the head moved ([\d.]+) mm", printed)[1]), abs=0.2)
+    assert moved_mm == pytest.approx(float(present(re.search(r"the head moved ([\d.]+) mm", printed))[1]), abs=0.2)
     # Monado's simulated headset has its views 63 mm apart; the device has VIEW space midway between its eye boxes.
     boxes = [open_eye("northstar", eye).eye_box.centre for eye in ("left", "right")]
     left, right = (eyes.viewpoint_at(eye, head.time_s[3:5]) for eye in ("left", "right"))
@@ -108,7 +112,7 @@ def test_what_the_runtime_locates_is_recorded_and_read_as_trajectories(swaying, 
     np.testing.assert_allclose((left + right) / 2, [np.mean(boxes, axis=0)] * 2, atol=1e-4)
 
 
-def test_the_swap_chain_holds_what_the_compositor_composed(swaying, tmp_path):
+def test_the_swap_chain_holds_what_the_compositor_composed(swaying: Any, tmp_path: Path) -> None:
     printed, pictures = run(swaying, tmp_path, "swap-chain")
     differences = re.findall(r"differs from the compositor's by (\d+) codes", printed)
     assert len(differences) == 2
@@ -117,7 +121,7 @@ def test_the_swap_chain_holds_what_the_compositor_composed(swaying, tmp_path):
     check_pictures(*pictures)
 
 
-def screen(file):
+def screen(file: Path) -> NDArray[np.uint8]:
     """(height, width, 3) BGR of a screen of 24 bits in the XWD file that Xvfb keeps."""
     content = file.read_bytes()
     header = np.frombuffer(content[:100], ">u4")
@@ -126,7 +130,7 @@ def screen(file):
     return pixels.reshape(height, -1, 4)[:, :width, :3]
 
 
-def test_monado_shows_the_panels_unchanged_to_a_head_at_rest(tmp_path):
+def test_monado_shows_the_panels_unchanged_to_a_head_at_rest(tmp_path: Path) -> None:
     """With no distortion and nothing for its timewarp to do."""
     if shutil.which("Xvfb") is None:
         pytest.skip("Xvfb is not installed.")
@@ -146,7 +150,7 @@ def test_monado_shows_the_panels_unchanged_to_a_head_at_rest(tmp_path):
         ["Xvfb", "-displayfd", "1", "-screen", "0", "1280x800x24", "-fbdir", str(tmp_path)], stdout=subprocess.PIPE
     )
     try:
-        number = display.stdout.readline().decode().strip()
+        number = present(display.stdout).readline().decode().strip()
         settings = {"DISPLAY": f":{number}", "XRT_COMPOSITOR_FORCE_XCB": "1"}
         with running_monado(at_rest, **settings) as environment:
             command = [sys.executable, str(copied), "swap-chain"]

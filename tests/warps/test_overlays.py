@@ -1,14 +1,21 @@
 """Overlays lie where the exact rays meet their quad, and are composited in linear light."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from gl_scenes import at
+from numpy.typing import NDArray
 from warps.composing import HEAD, SMALL, planar, scene, traced, viewpoint
 
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.gl.framebuffers import TextureLayer
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.panel_light import PanelLight
 from wlr_render.warp.stored_picture import Rows, StoredColour
 
@@ -22,7 +29,7 @@ SIZE_M = 0.3, 0.2
 INSIDE = slice(3, -3), slice(3, -3)
 
 
-def behind(made, model, light=0.0):
+def behind(made: Compositor, model: Eye, light: float = 0.0) -> None:
     """Submit a picture of one light at 1 m."""
     (camera,) = made.begin_frame(HEAD, viewpoint(model)).values()
     shape = camera.size_px[::-1]
@@ -31,13 +38,13 @@ def behind(made, model, light=0.0):
     )
 
 
-def places(size=(300, 200)):
+def places(size: tuple[int, int] = (300, 200)) -> Float32Array:
     """A picture whose red and green are the place in it, and whose blue is 1."""
     x, y = np.meshgrid(*((np.arange(side) + 0.5) / side for side in size))
     return np.stack([x, y, np.ones_like(x), np.ones_like(x)], axis=-1).astype(np.float32)
 
 
-def exact_places(model, pose, world_from_quad):
+def exact_places(model: Eye, pose: FloatArray, world_from_quad: FloatArray) -> FloatArray:
     """(height, width, 2) where the ray-traced rays of the pixels meet the quad, from (0, 0) to (1, 1) in it."""
     rays = traced(model, SMALL, viewpoint(model), pose, RayRenderer(scene())).ray_map
     start, direction = (each.reshape(*SMALL[::-1], 3).astype(np.float64) for each in rays.world_rays(pose))
@@ -50,7 +57,9 @@ def exact_places(model, pose, world_from_quad):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planar", "flat image", "three"])
 @pytest.mark.parametrize("is_head_locked", [False, True])
-def test_a_quad_lies_where_the_traced_rays_meet_it(compositor, flat_image_headset, kind, is_head_locked):
+def test_a_quad_lies_where_the_traced_rays_meet_it(
+    compositor: Callable[..., Any], flat_image_headset: Eye, kind: str, is_head_locked: bool
+) -> None:
     model = planar() if kind == "planar" else flat_image_headset
     made = compositor({"right": [model] * 3} if kind == "three" else model, panel=FLOATS)
     behind(made, model)
@@ -68,7 +77,9 @@ def test_a_quad_lies_where_the_traced_rays_meet_it(compositor, flat_image_headse
     assert np.abs(shown[inside][:, :2] - exact[inside]).max() < 0.05 * per_pixel.max() + 2**-11
 
 
-def composited(made, model, light, picture, **given):
+def composited(
+    made: Compositor, model: Eye, light: float, picture: Float32Array | NDArray[np.uint8], **given: Any
+) -> NDArray[np.float16]:
     behind(made, model, light)
     made.submit_overlay(picture, (5.0, 5.0), device_from_quad=at(0, 0, -1), **given)
     frame = made.compose()
@@ -77,7 +88,7 @@ def composited(made, model, light, picture, **given):
     return pixels[INSIDE]
 
 
-def test_light_is_added_over_what_alpha_lets_through(compositor, flat_image_headset):
+def test_light_is_added_over_what_alpha_lets_through(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, panel=FLOATS)
     over = np.full((9, 9, 4), (0.5, 0.25, 0.0, 0.25), np.float32)
     expected = [0.5 + 0.75 * 0.4, 0.25 + 0.75 * 0.4, 0.75 * 0.4, 1.0]
@@ -89,13 +100,15 @@ def test_light_is_added_over_what_alpha_lets_through(compositor, flat_image_head
     np.testing.assert_allclose(shown, np.broadcast_to([0.5029 + rest, rest, 1 + rest, 1], shown.shape), atol=2e-3)
 
 
-def test_overlays_are_composited_in_the_order_of_their_layers(compositor, flat_image_headset):
+def test_overlays_are_composited_in_the_order_of_their_layers(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made = compositor(flat_image_headset, panel=FLOATS)
     behind(made, flat_image_headset, 0.4)
     colours = np.array([[0.2, 0.0, 0.1, 0.3], [0.0, 0.3, 0.1, 0.6], [0.1, 0.1, 0.0, 0.25], [0.05, 0.0, 0.2, 0.5]])
     expected, quad = np.array([0.4, 0.4, 0.4, 1.0]), {"device_from_quad": at(0, 0, -1), "stored_colour": LINEAR}
 
-    def shown():
+    def shown() -> FloatArray:
         pixels = np.empty((*SMALL[::-1], 4), np.float16)
         made.compose().read_into(pixels)
         return pixels[INSIDE].astype(np.float64)
@@ -113,7 +126,7 @@ def test_overlays_are_composited_in_the_order_of_their_layers(compositor, flat_i
     np.testing.assert_allclose(shown(), np.broadcast_to(expected, shown().shape), atol=1e-3)
 
 
-def test_layers_lie_at_their_own_places(compositor, flat_image_headset):
+def test_layers_lie_at_their_own_places(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     model = flat_image_headset
     made = compositor(model, panel=FLOATS)
     behind(made, model)
@@ -131,7 +144,7 @@ def test_layers_lie_at_their_own_places(compositor, flat_image_headset):
     np.testing.assert_allclose(both, alone[1] + (1 - covers) * alone[0], atol=2e-3)
 
 
-def test_fine_stripes_keep_their_light(compositor, flat_image_headset):
+def test_fine_stripes_keep_their_light(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, panel=FLOATS)
     stripes = np.ones((512, 4096, 4), np.float32)
     stripes[:, ::2, :3] = 0
@@ -139,7 +152,7 @@ def test_fine_stripes_keep_their_light(compositor, flat_image_headset):
     np.testing.assert_allclose(shown[..., :3], 0.5, atol=0.01)
 
 
-def test_textures_arrays_and_rows(compositor, flat_image_headset):
+def test_textures_arrays_and_rows(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, panel=FLOATS)
     behind(made, flat_image_headset)
     made.submit_overlay(places(), SIZE_M, device_from_quad=QUAD, stored_colour=LINEAR)
@@ -161,7 +174,7 @@ def test_textures_arrays_and_rows(compositor, flat_image_headset):
     assert not made.compose().read().any()
 
 
-def test_a_quad_that_is_seen_from_behind_is_not_shown(compositor, flat_image_headset):
+def test_a_quad_that_is_seen_from_behind_is_not_shown(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset)
     behind(made, flat_image_headset)
     for pose in (at(0, 0, -1, transforms.rotation_about("y", np.pi)), at(0, 0, 1)):
@@ -193,7 +206,13 @@ def test_a_quad_that_is_seen_from_behind_is_not_shown(compositor, flat_image_hea
         (99999, {"world_from_quad": HEAD}, "Number 99999 is not a texture of this context"),
     ],
 )
-def test_overlays_that_cannot_be_are_refused_and_the_last_stays(compositor, flat_image_headset, picture, given, words):
+def test_overlays_that_cannot_be_are_refused_and_the_last_stays(
+    compositor: Callable[..., Any],
+    flat_image_headset: Eye,
+    picture: FloatArray | NDArray[np.uint8] | int | str,
+    given: dict[str, Any],
+    words: str,
+) -> None:
     made = compositor(flat_image_headset)
     behind(made, flat_image_headset)
     made.submit_overlay(places(), SIZE_M, device_from_quad=QUAD, stored_colour=LINEAR)
@@ -204,6 +223,8 @@ def test_overlays_that_cannot_be_are_refused_and_the_last_stays(compositor, flat
 
 
 @pytest.mark.parametrize("overlays", [1.5, 5, -1, True])
-def test_numbers_of_overlays_that_cannot_be_are_not_prepared(compositor, flat_image_headset, overlays):
+def test_numbers_of_overlays_that_cannot_be_are_not_prepared(
+    compositor: Callable[..., Any], flat_image_headset: Eye, overlays: float
+) -> None:
     with pytest.raises(BadInputError, match=r"overlays is .*; give a whole number from 0 to 4"):
         compositor(flat_image_headset).prepare(overlays)

@@ -2,14 +2,19 @@
 
 import ctypes
 import threading
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import moderngl
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from warps.composing import HEAD, SMALL, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
+from wlr_render.gl.context import GlContext
+from wlr_render.mappings import Eye
 from wlr_render.warp.compositor import Compositor
 
 pytestmark = pytest.mark.gl
@@ -18,24 +23,24 @@ pytestmark = pytest.mark.gl
 class Engine:
     """Another program's EGL context with a texture to clear, called without making the context current."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.ctx = moderngl.create_context(standalone=True, require=430, backend="egl")
         self.texture = self.ctx.texture((8, 8), 4, bytes(256))
         self.framebuffer = self.ctx.framebuffer([self.texture])
 
-    def cleared(self, value):
+    def cleared(self, value: int) -> list[int]:
         self.framebuffer.clear(value / 255, 0.0, 0.0, 1.0)
         return np.frombuffer(self.texture.read(), np.uint8)[:4].tolist()
 
 
-def current_egl_context():
+def current_egl_context() -> int | None:
     egl = ctypes.CDLL("libEGL.so.1")
     egl.eglGetCurrentContext.restype = ctypes.c_void_p
     return egl.eglGetCurrentContext()
 
 
 @pytest.fixture
-def engine(gl_context):
+def engine(gl_context: GlContext) -> Iterator[Engine]:
     if gl_context.backend != "egl":
         pytest.skip("EGL does not open here, so that there is no other context to keep.")
     made = Engine()
@@ -44,7 +49,7 @@ def engine(gl_context):
     made.ctx.release()
 
 
-def grey_frame(compositor, mappings):
+def grey_frame(compositor: Compositor, mappings: Eye) -> NDArray[np.uint8]:
     """One frame of a grey picture at 1 m; (height, width, 3)."""
     (camera,) = compositor.begin_frame(HEAD, viewpoint(mappings)).values()
     width, height = camera.size_px
@@ -52,7 +57,7 @@ def grey_frame(compositor, mappings):
     return compositor.compose().read()
 
 
-def test_the_callers_context_stays_current(engine, flat_image_headset):
+def test_the_callers_context_stays_current(engine: Engine, flat_image_headset: Eye) -> None:
     current = current_egl_context()
     with Compositor(flat_image_headset, SMALL, context="auto") as made:
         assert current_egl_context() == current
@@ -70,7 +75,7 @@ def test_the_callers_context_stays_current(engine, flat_image_headset):
     assert engine.cleared(153) == [153, 0, 0, 255]
 
 
-def test_no_context_stays_current_where_none_was(engine, flat_image_headset):
+def test_no_context_stays_current_where_none_was(engine: Engine, flat_image_headset: Eye) -> None:
     with engine.ctx:
         pass
     assert current_egl_context() is None
@@ -80,11 +85,11 @@ def test_no_context_stays_current_where_none_was(engine, flat_image_headset):
     assert current_egl_context() is None
 
 
-def in_thread(work):
+def in_thread(work: Callable[..., Any]) -> BadInputError | NDArray[np.uint8]:
     """What a call on another thread returns or raises."""
     told = []
 
-    def run():
+    def run() -> None:
         try:
             told.append(work())
         except BadInputError as error:
@@ -96,14 +101,16 @@ def in_thread(work):
     return told[0]
 
 
-def test_another_thread_composes_the_same_picture(gl_context, compositor, flat_image_headset):
+def test_another_thread_composes_the_same_picture(
+    gl_context: GlContext, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made = compositor(flat_image_headset, context=gl_context.backend)
     source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
 
-    def frame():
+    def frame() -> NDArray[np.uint8]:
         for camera in made.begin_frame(HEAD, seen).values():
             source.submit(camera)
-        return made.compose().read()
+        return np.asarray(made.compose().read())
 
     expected = frame()
     assert len(np.unique(expected)) > 10
@@ -111,7 +118,9 @@ def test_another_thread_composes_the_same_picture(gl_context, compositor, flat_i
     np.testing.assert_array_equal(frame(), expected)
 
 
-def test_two_threads_at_once_are_refused_in_a_sentence(gl_context, compositor, flat_image_headset):
+def test_two_threads_at_once_are_refused_in_a_sentence(
+    gl_context: GlContext, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made = compositor(flat_image_headset, context=gl_context.backend)
     with made.context.drawing():
         error = in_thread(lambda: grey_frame(made, flat_image_headset))
@@ -120,7 +129,9 @@ def test_two_threads_at_once_are_refused_in_a_sentence(gl_context, compositor, f
     assert (grey_frame(made, flat_image_headset) == 128).all()
 
 
-def test_a_context_held_by_another_thread_is_refused_in_a_sentence(engine, compositor, flat_image_headset):
+def test_a_context_held_by_another_thread_is_refused_in_a_sentence(
+    engine: Engine, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made = compositor(flat_image_headset, context="egl")
     vars(made.context)["_ctx"].__enter__()
     error = in_thread(lambda: grey_frame(made, flat_image_headset))

@@ -3,14 +3,19 @@
 import ctypes
 
 import gl_scenes
+import moderngl
 import numpy as np
 import pytest
 from gl_scenes import OFF_CENTRE as CAMERA
 
 from wlr_render.draw.gl_raster import NEAR_M, GlRaster
 from wlr_render.errors import BadInputError
+from wlr_render.gl.context import GlContext
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.picture_import import PictureImport
 from wlr_render.warp.stored_picture import DepthKind, Rows, StoredDepth
+from wlr_render.warp.view import GeometryImage
 
 pytestmark = pytest.mark.gl
 
@@ -20,12 +25,12 @@ METRES, INVERSE = StoredDepth(DepthKind.METRES), StoredDepth(DepthKind.INVERSE)
 WINDOW = StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf)
 
 
-def metres(inverse_depth, nothing=0.0):
+def metres(inverse_depth: FloatArray, nothing: float = 0.0) -> FloatArray:
     with np.errstate(divide="ignore"):
         return np.where(inverse_depth > 0, 1 / inverse_depth, nothing)
 
 
-def buffered(inverse_depth, at_0, at_1, nothing):
+def buffered(inverse_depth: FloatArray, at_0: float, at_1: float, nothing: int) -> FloatArray:
     """A depth buffer's values, by the projection that puts distance at_0 at 0 and at_1 at 1."""
     stored = (inverse_depth - 1 / at_0) / (1 / at_1 - 1 / at_0)
     return np.where(inverse_depth > 0, stored, nothing)
@@ -49,7 +54,7 @@ TOLD = {
 
 
 @pytest.fixture
-def drawn(gl_context):
+def drawn(gl_context: GlContext) -> GpuImage:
     scene = gl_scenes.lit(
         (gl_scenes.cube(), gl_scenes.at(0.1, 0.2, -2)), (gl_scenes.cube(), gl_scenes.at(-1, -0.5, -4))
     )
@@ -57,11 +62,11 @@ def drawn(gl_context):
 
 
 @pytest.fixture
-def take(gl_context):
+def take(gl_context: GlContext) -> PictureImport:
     return PictureImport(gl_context)
 
 
-def assert_same(taken, expected):
+def assert_same(taken: GeometryImage, expected: GeometryImage) -> None:
     np.testing.assert_array_equal(taken.colour, expected.colour)
     np.testing.assert_allclose(taken.inverse_depth, expected.inverse_depth, rtol=1e-5, atol=0)
     assert (expected.inverse_depth > 0).sum() > 500
@@ -69,7 +74,7 @@ def assert_same(taken, expected):
 
 @pytest.mark.parametrize("rows", Rows)
 @pytest.mark.parametrize("told", TOLD)
-def test_arrays_come_back_as_they_were_drawn(take, drawn, told, rows):
+def test_arrays_come_back_as_they_were_drawn(take: PictureImport, drawn: GpuImage, told: str, rows: Rows) -> None:
     stored, tell = TOLD[told]
     picture = drawn.read()
     depth = tell(picture.inverse_depth.astype(np.float64)).astype(np.float32)
@@ -77,7 +82,7 @@ def test_arrays_come_back_as_they_were_drawn(take, drawn, told, rows):
     assert_same(take.from_arrays(CAMERA, picture.colour[::step], depth[::step], stored, rows).read(), picture)
 
 
-def test_textures_are_read_past_their_own_settings(gl_context, take):
+def test_textures_are_read_past_their_own_settings(gl_context: GlContext, take: PictureImport) -> None:
     width, height = SIZE
     colour = np.random.default_rng(0).integers(0, 256, (height, width, 4), np.uint8)
     with gl_context.drawing() as ctx:
@@ -89,7 +94,9 @@ def test_textures_are_read_past_their_own_settings(gl_context, take):
     np.testing.assert_allclose(taken.inverse_depth, 0.5, rtol=1e-6)
 
 
-def framebuffer(context, samples=0, depth_format=None, size=SIZE):
+def framebuffer(
+    context: GlContext, samples: int = 0, depth_format: int | None = None, size: tuple[int, int] = SIZE
+) -> moderngl.Framebuffer:
     """A framebuffer whose lower half is nearer and of another colour than its upper one."""
     with context.drawing() as ctx:
         made = ctx.simple_framebuffer(size, samples=samples)
@@ -100,7 +107,7 @@ def framebuffer(context, samples=0, depth_format=None, size=SIZE):
     return made
 
 
-def _give_depth(context, made, depth_format):
+def _give_depth(context: GlContext, made: moderngl.Framebuffer, depth_format: int) -> None:
     uint, name = ctypes.c_uint, ctypes.c_uint()
     context.function("glGenRenderbuffers", ctypes.c_int, ctypes.c_void_p)(1, ctypes.addressof(name))
     context.function("glBindRenderbuffer", uint, uint)(0x8D41, name)
@@ -109,7 +116,7 @@ def _give_depth(context, made, depth_format):
     context.function("glFramebufferRenderbuffer", *[uint] * 4)(0x8D40, 0x8D00, 0x8D41, name)
 
 
-def assert_halves(picture):
+def assert_halves(picture: GeometryImage) -> None:
     upper, lower = np.split(np.arange(SIZE[1]), 2)
     for rows, colour, stored in ((upper, [51, 102, 153], 0.5), (lower, [153, 51, 102], 0.25)):
         assert (picture.colour[rows] == colour).all()
@@ -118,21 +125,21 @@ def assert_halves(picture):
 
 # 16, 24, 24 + stencil, 32 float, 32 float + stencil bits.
 @pytest.mark.parametrize("depth_format", [0x81A5, 0x81A6, 0x88F0, 0x8CAC, 0x8CAD], ids=hex)
-def test_a_framebuffer_with_any_depth_is_copied(gl_context, take, depth_format):
+def test_a_framebuffer_with_any_depth_is_copied(gl_context: GlContext, take: PictureImport, depth_format: int) -> None:
     theirs = framebuffer(gl_context, depth_format=depth_format)
     assert_halves(take.from_framebuffer(CAMERA, theirs, WINDOW).read())
     assert_halves(take.from_framebuffer(CAMERA, theirs.glo, WINDOW).read())
 
 
-def test_a_framebuffer_of_several_samples_is_resolved(gl_context, take):
+def test_a_framebuffer_of_several_samples_is_resolved(gl_context: GlContext, take: PictureImport) -> None:
     assert_halves(take.from_framebuffer(CAMERA, framebuffer(gl_context, samples=4), WINDOW).read())
 
 
-def test_frames_make_no_objects(gl_context, take):
+def test_frames_make_no_objects(gl_context: GlContext, take: PictureImport) -> None:
     theirs, colour = framebuffer(gl_context), np.zeros((*SIZE[::-1], 3), np.uint8)
     depth = np.ones(SIZE[::-1], np.float32)
 
-    def frame():
+    def frame() -> None:
         take.from_framebuffer(CAMERA, theirs, WINDOW)
         take.from_arrays(CAMERA, colour, depth, METRES)
 
@@ -143,14 +150,14 @@ def test_frames_make_no_objects(gl_context, take):
     assert objects(gl_context) == first
 
 
-def objects(context):
+def objects(context: GlContext) -> list[int]:
     with context.drawing():
         kinds = "Texture", "Framebuffer", "Buffer", "VertexArray", "Sampler"
         alive = [context.function(f"glIs{kind}", ctypes.c_uint, result=ctypes.c_ubyte) for kind in kinds]
         return [sum(is_one(number) for number in range(2000)) for is_one in alive]
 
 
-def test_bad_framebuffers_are_refused_in_a_sentence(gl_context, take):
+def test_bad_framebuffers_are_refused_in_a_sentence(gl_context: GlContext, take: PictureImport) -> None:
     with gl_context.drawing() as ctx:
         small = ctx.simple_framebuffer((3, 4))
         without_depth = ctx.framebuffer([ctx.texture(SIZE, 4)])
@@ -167,7 +174,7 @@ def test_bad_framebuffers_are_refused_in_a_sentence(gl_context, take):
     assert_halves(take.from_framebuffer(CAMERA, framebuffer(gl_context), WINDOW).read())
 
 
-def test_bad_textures_are_refused_in_a_sentence(gl_context, take, drawn):
+def test_bad_textures_are_refused_in_a_sentence(gl_context: GlContext, take: PictureImport, drawn: GpuImage) -> None:
     with gl_context.drawing() as ctx:
         small, numbers = ctx.texture((3, 4), 4), ctx.texture(SIZE, 4, dtype="u1")
         gone = ctx.texture(SIZE, 4)

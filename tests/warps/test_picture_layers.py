@@ -1,14 +1,20 @@
 """Pictures in layers, mip levels and samples of textures, by ModernGL's objects or OpenGL's names."""
 
 import ctypes
+from collections.abc import Sequence
 
+import moderngl
 import numpy as np
 import pytest
 from gl_scenes import OFF_CENTRE as CAMERA
+from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.gl import gl
+from wlr_render.gl.context import GlContext
 from wlr_render.gl.framebuffers import TextureLayer
+from wlr_render.numerics.arrays import Float32Array
+from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.picture_import import PictureImport
 from wlr_render.warp.stored_picture import DepthKind, StoredDepth
 
@@ -23,18 +29,20 @@ FRAMEBUFFER, COLOUR, DEPTH = 0x8D40, 0x8CE0, 0x8D00
 
 
 @pytest.fixture
-def take(gl_context):
+def take(gl_context: GlContext) -> PictureImport:
     return PictureImport(gl_context)
 
 
-def array_of(context, last, dtype, other):
+def array_of(
+    context: moderngl.Context, last: Float32Array | NDArray[np.uint8], dtype: str, other: float
+) -> moderngl.TextureArray:
     """An array texture of three layers whose last one is given, and the others hold one value."""
     layers = np.stack([np.full_like(last, other), np.full_like(last, other), last])
     components = last.shape[2] if last.ndim == 3 else 1
     return context.texture_array((*SIZE, 3), components, np.ascontiguousarray(layers), dtype=dtype)
 
 
-def depth_array(context, layers):
+def depth_array(context: GlContext, layers: Sequence[Float32Array]) -> int:
     """OpenGL's name of an array texture of a depth format."""
     name = (ctypes.c_uint * 1)()
     uint, pointer = ctypes.c_uint, ctypes.c_void_p
@@ -49,13 +57,13 @@ def depth_array(context, layers):
     return name[0]
 
 
-def assert_taken(image, inverse=DEPTHS):
+def assert_taken(image: GpuImage, inverse: Float32Array = DEPTHS) -> None:
     picture = image.read()
     np.testing.assert_array_equal(picture.colour, COLOURS[::-1, :, :3])
     np.testing.assert_allclose(picture.inverse_depth, inverse[::-1], rtol=1e-5)
 
 
-def test_a_layer_of_an_array_by_object_or_name(gl_context, take):
+def test_a_layer_of_an_array_by_object_or_name(gl_context: GlContext, take: PictureImport) -> None:
     with gl_context.drawing() as ctx:
         colour, depth = array_of(ctx, COLOURS, "f1", 9), array_of(ctx, DEPTHS, "f4", 0.5)
         window = depth_array(gl_context, [0 * DEPTHS, 0 * DEPTHS, DEPTHS])
@@ -66,7 +74,7 @@ def test_a_layer_of_an_array_by_object_or_name(gl_context, take):
     assert (take.take(CAMERA, colour, depth, INVERSE).read().colour == 9).all()
 
 
-def test_raw_names_of_plain_textures(gl_context, take):
+def test_raw_names_of_plain_textures(gl_context: GlContext, take: PictureImport) -> None:
     with gl_context.drawing() as ctx:
         colour, depth = ctx.texture(SIZE, 4, COLOURS), ctx.texture(SIZE, 1, DEPTHS, dtype="f4")
         buffer = ctx.depth_texture(SIZE, DEPTHS)
@@ -75,7 +83,7 @@ def test_raw_names_of_plain_textures(gl_context, take):
     np.testing.assert_allclose(taken.inverse_depth[::-1], 2 + DEPTHS * (0.25 - 2), rtol=1e-5)
 
 
-def test_a_mip_level(gl_context, take):
+def test_a_mip_level(gl_context: GlContext, take: PictureImport) -> None:
     with gl_context.drawing() as ctx:
         colour, depth = ctx.texture((4 * WIDTH, 4 * HEIGHT), 4), ctx.texture((2 * WIDTH, 2 * HEIGHT), 1, dtype="f4")
         colour.build_mipmaps()
@@ -85,7 +93,7 @@ def test_a_mip_level(gl_context, take):
     assert_taken(take.take(CAMERA, TextureLayer(colour, level=2), TextureLayer(depth, level=1), INVERSE))
 
 
-def test_multisampled_textures_are_resolved(gl_context, take):
+def test_multisampled_textures_are_resolved(gl_context: GlContext, take: PictureImport) -> None:
     with gl_context.drawing() as ctx:
         colour, depth = ctx.texture(SIZE, 4, samples=4), ctx.depth_texture(SIZE, samples=4)
         drawn = ctx.framebuffer([colour], depth)
@@ -96,7 +104,7 @@ def test_multisampled_textures_are_resolved(gl_context, take):
         np.testing.assert_allclose(picture.inverse_depth, 2 + 0.25 * (0.25 - 2), rtol=1e-4)
 
 
-def test_metres_in_a_depth_format_are_refused(gl_context, take):
+def test_metres_in_a_depth_format_are_refused(gl_context: GlContext, take: PictureImport) -> None:
     """The default of `Compositor.submit`: a depth buffer's values would be shown as metres."""
     with gl_context.drawing() as ctx:
         colour, depth = ctx.texture(SIZE, 4), ctx.depth_texture(SIZE)
@@ -109,7 +117,7 @@ def test_metres_in_a_depth_format_are_refused(gl_context, take):
         assert (take.take(CAMERA, *given, WINDOW).read().inverse_depth > 0).all()
 
 
-def test_a_framebuffer_with_layers_as_attachments(gl_context, take):
+def test_a_framebuffer_with_layers_as_attachments(gl_context: GlContext, take: PictureImport) -> None:
     with gl_context.drawing() as ctx:
         colour = array_of(ctx, COLOURS, "f1", 9)
         window = depth_array(gl_context, [DEPTHS, 0 * DEPTHS])
@@ -129,7 +137,7 @@ def test_a_framebuffer_with_layers_as_attachments(gl_context, take):
         take.take(CAMERA, name[0], None, WINDOW)
 
 
-def test_floats_keep_more_than_bytes(gl_context, take):
+def test_floats_keep_more_than_bytes(gl_context: GlContext, take: PictureImport) -> None:
     light = np.full((HEIGHT, WIDTH, 4), 0.50098, np.float16)
     with gl_context.drawing() as ctx:
         colour, depth = ctx.texture(SIZE, 4, light, dtype="f2"), ctx.texture(SIZE, 1, DEPTHS, dtype="f4")
@@ -137,7 +145,7 @@ def test_floats_keep_more_than_bytes(gl_context, take):
         np.testing.assert_array_equal(gl.read(copied, np.float16), light)
 
 
-def test_bad_layers_are_refused_in_a_sentence(gl_context, take):
+def test_bad_layers_are_refused_in_a_sentence(gl_context: GlContext, take: PictureImport) -> None:
     with gl_context.drawing() as ctx:
         colour, depth = ctx.texture(SIZE, 4), ctx.texture(SIZE, 1, dtype="f4")
         array, whole = ctx.texture_array((*SIZE, 2), 4), ctx.texture(SIZE, 4, dtype="u1")

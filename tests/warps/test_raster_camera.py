@@ -2,29 +2,31 @@ import numpy as np
 import pytest
 
 from wlr_render.geometry import transforms
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.warp.raster_camera import RasterPosition, nearest_point_to_rays
 from wlr_render.warp.ray_map import middle_axes, solve_pixels
 
 
-def traced(device):
+def traced(device: str) -> Eye:
     return traced_eye(load_device(device), "right")
 
 
-def offsets(slope_offset, place):
+def offsets(slope_offset: FloatArray, place: FloatArray) -> FloatArray:
     """Offsets of rays (4, ...) from a point, across the viewing axis: followed to the point's depth."""
     a, b, c, d = slope_offset
     depth = -place[2]
-    return np.hypot(c + a * depth - place[0], d + b * depth - place[1])
+    return np.asarray(np.hypot(c + a * depth - place[0], d + b * depth - place[1]))
 
 
-def rays_through(point, tangents):
+def rays_through(point: FloatArray, tangents: FloatArray) -> FloatArray:
     """(4, ...) of rays with tangents (..., 2) through a point of the camera frame."""
     return np.moveaxis(np.concatenate([tangents, point[:2] + point[2] * tangents], axis=-1), -1, 0)
 
 
-def test_rays_through_one_point_give_that_point():
+def test_rays_through_one_point_give_that_point() -> None:
     point = np.array([0.001, -0.002, -0.003])
     tangents = np.random.default_rng(0).normal(size=(5, 4, 2))
     slope_offset = rays_through(point, tangents)
@@ -34,7 +36,7 @@ def test_rays_through_one_point_give_that_point():
     np.testing.assert_allclose(nearest_point_to_rays(slope_offset), point, atol=1e-15)
 
 
-def test_no_other_point_is_nearer():
+def test_no_other_point_is_nearer() -> None:
     rng = np.random.default_rng(1)
     slope_offset = rng.normal(size=(4, 30))
     best = nearest_point_to_rays(slope_offset)
@@ -43,20 +45,20 @@ def test_no_other_point_is_nearer():
         assert np.sum(offsets(slope_offset, best + step) ** 2) > least
 
 
-def test_parallel_rays_or_none_move_nothing_along_the_axis():
+def test_parallel_rays_or_none_move_nothing_along_the_axis() -> None:
     parallel = np.array([[0.1, 0.1], [0.2, 0.2], [1e-3, 3e-3], [0.0, 0.0]])
     np.testing.assert_allclose(nearest_point_to_rays(parallel), [2e-3, 0, 0], atol=1e-15)
     np.testing.assert_array_equal(nearest_point_to_rays(np.full((4, 3), np.nan)), np.zeros(3))
 
 
 @pytest.mark.parametrize("device", ["no_optics", "flat_mirror"])
-def test_without_deviation_the_raster_camera_is_at_the_viewpoint(device):
+def test_without_deviation_the_raster_camera_is_at_the_viewpoint(device: str) -> None:
     eye = traced(device)
     viewpoint = eye.eye_box.at(np.array([0.3, -0.8, 0.5]))
     np.testing.assert_allclose(RasterPosition(eye, middle_axes(eye)).at(viewpoint), viewpoint, atol=1e-12)
 
 
-def test_a_plane_plate_brings_the_eye_nearer_by_its_apparent_shift():
+def test_a_plane_plate_brings_the_eye_nearer_by_its_apparent_shift() -> None:
     eye = traced("plane_plate")
     thickness, n = 0.005, 1.5
     viewpoint = eye.eye_box.centre
@@ -68,7 +70,7 @@ def test_a_plane_plate_brings_the_eye_nearer_by_its_apparent_shift():
 
 
 @pytest.mark.parametrize("device", ["northstar", "freeform40", "birdbath28", "tilted_plate"])
-def test_rays_pass_the_raster_eye_much_nearer_than_the_viewpoint(device):
+def test_rays_pass_the_raster_eye_much_nearer_than_the_viewpoint(device: str) -> None:
     eye = traced(device)
     axes = middle_axes(eye)
     raster_position = RasterPosition(eye, axes)
@@ -83,7 +85,7 @@ def test_rays_pass_the_raster_eye_much_nearer_than_the_viewpoint(device):
         assert after < 0.15 * before
 
 
-def test_the_fit_over_the_eye_box_is_the_nearest_point_itself():
+def test_the_fit_over_the_eye_box_is_the_nearest_point_itself() -> None:
     eye = traced("northstar")
     axes = middle_axes(eye)
     raster_position, rng = RasterPosition(eye, axes), np.random.default_rng(2)
@@ -93,7 +95,7 @@ def test_the_fit_over_the_eye_box_is_the_nearest_point_itself():
         np.testing.assert_allclose(raster_position.at(viewpoint), nearest, atol=5e-6)
 
 
-def test_it_never_jumps_and_stays_with_the_eye_outside_the_box(toy_headset):
+def test_it_never_jumps_and_stays_with_the_eye_outside_the_box(toy_headset: Eye) -> None:
     raster_position, box = RasterPosition(toy_headset, np.eye(3)), toy_headset.eye_box
     outwards = box.at(np.linspace(0, 3, 301)[:, None] * [1, 0.5, -1])
     step = np.diff(raster_position.at(outwards), axis=0)
@@ -103,7 +105,7 @@ def test_it_never_jumps_and_stays_with_the_eye_outside_the_box(toy_headset):
 
 
 @pytest.mark.parametrize("lead", [(), (1,), (3, 1, 2)])
-def test_viewpoints_have_any_leading_axes(toy_headset, lead):
+def test_viewpoints_have_any_leading_axes(toy_headset: Eye, lead: tuple[int, ...]) -> None:
     raster_position, rng = RasterPosition(toy_headset, np.eye(3)), np.random.default_rng(3)
     viewpoint = toy_headset.eye_box.at(rng.uniform(-1, 1, (*lead, 3)))
     place = raster_position.at(viewpoint)

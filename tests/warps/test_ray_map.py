@@ -1,16 +1,20 @@
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from small_headsets import changed_device
 
 from wlr_render.geometry import directions, rays, transforms
-from wlr_render.mappings import Status
+from wlr_render.mappings import Eye, Status
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.warp import ray_map
 from wlr_render.warp.grid import WarpGrid
 
 
-def test_chosen_nodes_give_the_exact_field_within_tolerance_at_every_pixel(toy_headset):
+def test_chosen_nodes_give_the_exact_field_within_tolerance_at_every_pixel(toy_headset: Eye) -> None:
     plan = ray_map.choose_plan(toy_headset, tolerance_px=0.005)
     viewpoint = toy_headset.eye_box.at(np.array([0.7, -0.9, 0.8]))
     fast = ray_map.ray_map(toy_headset, viewpoint, plan)
@@ -26,7 +30,7 @@ def test_chosen_nodes_give_the_exact_field_within_tolerance_at_every_pixel(toy_h
     assert ray_map.ray_map_error_px(toy_headset, viewpoint, coarse, pixel).max() > 0.02
 
 
-def test_world_rays_are_the_mappings_rays_carried_by_the_head_pose(toy_headset):
+def test_world_rays_are_the_mappings_rays_carried_by_the_head_pose(toy_headset: Eye) -> None:
     viewpoint = toy_headset.eye_box.at(np.array([0.3, 0.2, -0.5]))
     pose = transforms.rigid(transforms.rotation_about("y", 0.4), np.array([0.1, 1.5, 0.3]))
     plan = ray_map.choose_plan(toy_headset)
@@ -41,7 +45,7 @@ def test_world_rays_are_the_mappings_rays_carried_by_the_head_pose(toy_headset):
     assert rays.distance_to_point(expected, origin.astype(float)).max() < 1e-6
 
 
-def test_a_hole_is_solved_pixel_by_pixel_and_keeps_its_status(toy_headset_with_hole):
+def test_a_hole_is_solved_pixel_by_pixel_and_keeps_its_status(toy_headset_with_hole: Eye) -> None:
     plan = ray_map.RayMapPlan.with_nodes(toy_headset_with_hole.display.panel, 41, np.eye(3))
     field = ray_map.ray_map(toy_headset_with_hole, toy_headset_with_hole.eye_box.centre, plan)
     lost = field.status == Status.MISS
@@ -50,7 +54,7 @@ def test_a_hole_is_solved_pixel_by_pixel_and_keeps_its_status(toy_headset_with_h
     assert np.isfinite(field.slope_offset[:, ~lost]).all()
 
 
-def test_subpixel_offset_moves_the_pixel_centres(toy_headset):
+def test_subpixel_offset_moves_the_pixel_centres(toy_headset: Eye) -> None:
     panel = toy_headset.display.panel
     moved = ray_map.RayMapPlan.with_nodes(panel, 17, np.eye(3), np.array([0.25, -0.5]))
     viewpoint = toy_headset.eye_box.centre
@@ -59,7 +63,7 @@ def test_subpixel_offset_moves_the_pixel_centres(toy_headset):
     assert np.abs(field.slope_offset - exact.slope_offset).max() < 1e-6
 
 
-def test_axes_look_at_the_middle_of_the_field_without_roll(toy_headset):
+def test_axes_look_at_the_middle_of_the_field_without_roll(toy_headset: Eye) -> None:
     headset = toy_headset
     axes = ray_map.middle_axes(headset)
     view = headset.display.view_dir_of_pixel(headset.display.panel.grid(9, 9), headset.eye_box.centre).value
@@ -70,7 +74,7 @@ def test_axes_look_at_the_middle_of_the_field_without_roll(toy_headset):
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
 
 
-def test_world_rays_do_not_depend_on_the_axes(toy_headset):
+def test_world_rays_do_not_depend_on_the_axes(toy_headset: Eye) -> None:
     viewpoint = toy_headset.eye_box.centre
     panel = toy_headset.display.panel
     turned = transforms.rotation_about("y", 0.2) @ transforms.rotation_about("x", -0.3)
@@ -82,7 +86,7 @@ def test_world_rays_do_not_depend_on_the_axes(toy_headset):
     np.testing.assert_allclose(first, second, atol=1e-6)
 
 
-def test_required_tangents_cover_the_corner_pixels(toy_headset):
+def test_required_tangents_cover_the_corner_pixels(toy_headset: Eye) -> None:
     viewpoint = toy_headset.eye_box.centre
     plan = ray_map.choose_plan(toy_headset)
     field = ray_map.ray_map(toy_headset, viewpoint, plan)
@@ -93,7 +97,7 @@ def test_required_tangents_cover_the_corner_pixels(toy_headset):
 
 
 @pytest.mark.parametrize("make", [WarpGrid.edge_to_edge, lambda panel, *size: WarpGrid.of_pixels(panel, size)])
-def test_nodes_are_interpolated_to_the_points_of_any_grid(toy_headset, make):
+def test_nodes_are_interpolated_to_the_points_of_any_grid(toy_headset: Eye, make: Callable[..., Any]) -> None:
     warp_grid, viewpoint = make(toy_headset.display.panel, 13, 7), toy_headset.eye_box.at(np.array([0.5, 0.1, -0.7]))
     field = ray_map.ray_map(toy_headset, viewpoint, ray_map.RayMapPlan.onto_grid(warp_grid, 17, np.eye(3)))
     exact = ray_map.solve_every_pixel(toy_headset, viewpoint, np.eye(3), warp_grid.panel_pixel())
@@ -101,7 +105,7 @@ def test_nodes_are_interpolated_to_the_points_of_any_grid(toy_headset, make):
     np.testing.assert_array_equal(field.status, exact.status)
 
 
-def test_around_an_unsolved_node_shifted_pixel_centres_are_solved_exactly(toy_headset_with_hole):
+def test_around_an_unsolved_node_shifted_pixel_centres_are_solved_exactly(toy_headset_with_hole: Eye) -> None:
     offset, viewpoint = np.array([0.25, -0.5]), toy_headset_with_hole.eye_box.centre
     panel = toy_headset_with_hole.display.panel
     plan = ray_map.RayMapPlan.with_nodes(panel, 9, np.eye(3), offset)
@@ -111,7 +115,7 @@ def test_around_an_unsolved_node_shifted_pixel_centres_are_solved_exactly(toy_he
 
 
 @pytest.mark.parametrize("pixels", [[1, 1], [2, 1], [1, 3]])
-def test_panels_of_one_pixel_have_a_plan(tmp_path, pixels):
+def test_panels_of_one_pixel_have_a_plan(tmp_path: Path, pixels: Sequence[int]) -> None:
     device = changed_device(tmp_path, "northstar", ("pixels = [1440, 1600]", f"pixels = {pixels}"))
     headset = traced_eye(load_device(device))
     plan = ray_map.choose_plan(headset)

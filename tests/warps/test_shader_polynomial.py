@@ -4,6 +4,8 @@ from fitted_eyes import fitted_terms
 
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.gl import gl
+from wlr_render.gl.context import GlContext
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import BOX_SLACK, Box, Polynomial, limited_orders, total_degree
 from wlr_render.warp.shader_polynomial import held_source, thinned, value_source
 
@@ -22,7 +24,7 @@ void main()
 """
 
 
-def run(context, functions, body, inputs):
+def run(context: GlContext, functions: str, body: str, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The shader's two answers (n, 4) each for inputs (n, variables)."""
     padded = np.zeros((1, len(inputs), 4), np.float32)
     padded[0, :, : inputs.shape[1]] = inputs
@@ -38,7 +40,7 @@ def run(context, functions, body, inputs):
         return gl.read(first, np.float32)[0].astype(float), gl.read(second, np.float32)[0].astype(float)
 
 
-def inputs_in(box, count=4000, grown=1.0):
+def inputs_in(box: Box, count: int = 4000, grown: float = 1.0) -> FloatArray:
     """Random inputs as the shader gets them, the corners of the box among them, which may be grown."""
     unit = np.random.default_rng(1).uniform(-1, 1, (count, len(box.low))) * grown
     unit[:200] = np.sign(unit[:200]) * grown
@@ -46,12 +48,12 @@ def inputs_in(box, count=4000, grown=1.0):
     return inputs.astype(np.float32).astype(float)
 
 
-def seen(inputs):
+def seen(inputs: FloatArray) -> FloatArray:
     """Tangents under which a curved virtual image half a metre away is seen, with a strong distortion and swim."""
     u, v, x, y = inputs.T
     a, b = 0.35 * (u / 720 - 1), 0.35 * (1 - v / 800)
     depth = 0.5 - 0.6 * (a * a + b * b) - 3.0 * x * a
-    return np.stack([a * (1 + 2 * b * b) - x, b * (1 + a) - y], axis=-1) / depth[:, None]
+    return np.asarray(np.stack([a * (1 + 2 * b * b) - x, b * (1 + a) - y], axis=-1) / depth[:, None])
 
 
 HELD_BODY = """
@@ -65,7 +67,7 @@ MANY_PIXEL_ORDERS = limited_orders(2, 8, 2, 5, 8)
 @pytest.mark.parametrize(
     "orders", [*(total_degree(4, degree) for degree in range(3, 8)), MANY_PIXEL_ORDERS, limited_orders(2, 2, 2, 6, 6)]
 )
-def test_tangents_and_slopes_in_float32_are_the_polynomials(gl_context, orders):
+def test_tangents_and_slopes_in_float32_are_the_polynomials(gl_context: GlContext, orders: IntArray) -> None:
     polynomial = fitted_terms(seen, DISPLAY_BOX, orders)
     inputs = inputs_in(DISPLAY_BOX)
     answer, columns = run(gl_context, held_source("shown", polynomial), HELD_BODY, inputs)
@@ -76,7 +78,7 @@ def test_tangents_and_slopes_in_float32_are_the_polynomials(gl_context, orders):
     np.testing.assert_allclose(columns.reshape(-1, 2, 2).swapaxes(1, 2), jacobian, atol=2e-5 * np.abs(jacobian).max())
 
 
-def test_outside_the_box_the_shader_continues_as_the_polynomial(gl_context):
+def test_outside_the_box_the_shader_continues_as_the_polynomial(gl_context: GlContext) -> None:
     polynomial = fitted_terms(seen, DISPLAY_BOX, MANY_PIXEL_ORDERS)
     inputs = inputs_in(DISPLAY_BOX, grown=1.2)
     exact, jacobian = polynomial.with_jacobian(inputs, axes=(2, 3))
@@ -94,7 +96,7 @@ def test_outside_the_box_the_shader_continues_as_the_polynomial(gl_context):
     assert error[both].max() < 30
 
 
-def test_dropped_terms_change_no_more_than_the_bound(gl_context):
+def test_dropped_terms_change_no_more_than_the_bound(gl_context: GlContext) -> None:
     orders = limited_orders(2, 8, 2, 5, 8)
     coefficients = np.random.default_rng(3).normal(size=(len(orders), 2)) * np.exp(-2.0 * orders.sum(axis=1))[:, None]
     polynomial, tolerance = Polynomial(orders, DISPLAY_BOX, coefficients), np.array([1e-4, 3e-4])

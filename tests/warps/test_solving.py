@@ -1,29 +1,33 @@
 """When an eye's field is solved, from where, and what is said of what has no answer."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
-from wlr_render.mappings import QueryResult, Status
-from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver
+from wlr_render.mappings import Eye, Panel, QueryResult, Status
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.composed_frame import ComposedFrame
+from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
 from wlr_render.warp.ray_map import RayMap
 
 
 @pytest.fixture(params=["planar", "flat image"])
-def headset(request, flat_image_headset):
+def headset(request: pytest.FixtureRequest, flat_image_headset: Eye) -> Eye:
     return planar() if request.param == "planar" else flat_image_headset
 
 
 @pytest.fixture
-def solved_at(monkeypatch):
+def solved_at(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """Viewpoints that any solver was asked for."""
     asked = []
 
-    def counting(solve):
-        def solve_and_count(self, at):
+    def counting(solve: Callable[..., Any]) -> Callable[[Any, FloatArray], GpuRayMap]:
+        def solve_and_count(self, at: FloatArray) -> GpuRayMap:
             asked.append(np.array(at))
             return solve(self, at)
 
@@ -34,14 +38,14 @@ def solved_at(monkeypatch):
     return asked
 
 
-def slope_offset(frame):
+def slope_offset(frame: ComposedFrame) -> FloatArray:
     (field,) = frame.eyes["right"].ray_maps
     return (field if isinstance(field, RayMap) else field.read()).slope_offset.astype(np.float64)
 
 
 @pytest.mark.slow
 @pytest.mark.gl
-def test_a_resting_pupil_is_solved_once(compositor, headset, solved_at):
+def test_a_resting_pupil_is_solved_once(compositor: Callable[..., Any], headset: Eye, solved_at: list[object]) -> None:
     made = compositor(headset)
     source, seen = SceneSource(made, scene()), viewpoint(headset)
     del solved_at[:]
@@ -60,7 +64,9 @@ def test_a_resting_pupil_is_solved_once(compositor, headset, solved_at):
 
 
 @pytest.mark.gl
-def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(compositor, flat_image_headset):
+def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made, cold = (compositor(flat_image_headset) for _ in range(2))
     tracked, pose = viewpoint(flat_image_headset), HEAD.copy()
     source = SceneSource(made, scene())
@@ -75,7 +81,7 @@ def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(co
 
 @pytest.mark.slow
 @pytest.mark.gl
-def test_the_frame_after_a_saccade_is_a_cold_one(compositor, headset):
+def test_the_frame_after_a_saccade_is_a_cold_one(compositor: Callable[..., Any], headset: Eye) -> None:
     warm, cold = (compositor(headset) for _ in range(2))
     before = headset.eye_box.centre - [0.0025, 0.001, 0.0]
     after = before + [0.005, 0.0, 0.0]
@@ -99,10 +105,10 @@ class Troubled:
     whole: object
 
     @property
-    def panel(self):
+    def panel(self) -> Panel:
         return self.whole.panel
 
-    def view_dir_of_pixel(self, pixel, at, warm_start=None):
+    def view_dir_of_pixel(self, pixel: FloatArray, at: FloatArray, warm_start: object = None) -> QueryResult:
         answer, pixel = self.whole.view_dir_of_pixel(pixel, at), np.asarray(pixel)
         failed = (pixel[..., 0] < 0.25 * self.panel.width_px) | (np.asarray(at)[..., 0] > 0.0055)
         failed = np.broadcast_to(failed, answer.status.shape)
@@ -111,12 +117,12 @@ class Troubled:
 
 
 @pytest.fixture
-def troubled(flat_image_headset):
+def troubled(flat_image_headset: Eye) -> Eye:
     return replace(flat_image_headset, display=Troubled(flat_image_headset.display))
 
 
 @pytest.mark.gl
-def test_what_did_not_converge_is_named_counted_and_left_black(compositor, troubled):
+def test_what_did_not_converge_is_named_counted_and_left_black(compositor: Callable[..., Any], troubled: Eye) -> None:
     made = compositor(troubled, background=(9, 8, 7))
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(troubled))
     frame = made.compose()
@@ -133,7 +139,9 @@ def test_what_did_not_converge_is_named_counted_and_left_black(compositor, troub
 
 
 @pytest.mark.gl
-def test_a_pupil_for_which_nothing_converges_keeps_the_last_map_and_is_counted(compositor, troubled):
+def test_a_pupil_for_which_nothing_converges_keeps_the_last_map_and_is_counted(
+    compositor: Callable[..., Any], troubled: Eye
+) -> None:
     made = compositor(troubled)
     source, seen = SceneSource(made, scene()), viewpoint(troubled)
     draw(made, source, HEAD, seen)

@@ -1,30 +1,39 @@
 """However a picture is handed over, the same frame comes out."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from gl_scenes import at
+from numpy.typing import NDArray
 from warps.composing import CONTEXTS, HEAD, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.gl.context import GlContext
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.warp.stored_picture import DepthKind, Rows, StoredDepth
+from wlr_render.warp.view import GeometryImage
 
 INVERSE = StoredDepth(DepthKind.INVERSE)
 WINDOW, REVERSED = StoredDepth(DepthKind.WINDOW, 0.1, 5.0), StoredDepth(DepthKind.WINDOW, np.inf, 0.1)
 TURNED = HEAD @ at(0.02, 0, 0)  # so that depth tells where things go
 
 
-def buffered(inverse, stored):
+def buffered(inverse: Float32Array, stored: StoredDepth) -> Float32Array:
     """What a depth buffer holds; the far plane's value for nothing."""
     at_0, at_1 = stored.inverse_of_0_and_1
     return np.where(inverse > 0, (inverse - at_0) / (at_1 - at_0), 0 if at_0 < at_1 else 1).astype(np.float32)
 
 
-def arrays(image):
+def arrays(
+    image: GeometryImage,
+) -> dict[str, tuple[tuple[NDArray[np.uint8], Float32Array], dict[str, Rows | StoredDepth]]]:
     """Forms of two arrays: what `submit` is called with."""
     with np.errstate(divide="ignore"):
         infinite = 1 / image.inverse_depth
@@ -43,7 +52,7 @@ def arrays(image):
 
 
 @pytest.mark.parametrize("context", CONTEXTS)
-def test_arrays_of_all_kinds(compositor, flat_image_headset, context):
+def test_arrays_of_all_kinds(compositor: Callable[..., Any], flat_image_headset: Eye, context: str) -> None:
     made = compositor(flat_image_headset, context=context)
     source, seen = SceneSource(made, scene(wall=False)), viewpoint(flat_image_headset)
     (camera,) = draw(made, source, HEAD, seen).values()
@@ -57,7 +66,7 @@ def test_arrays_of_all_kinds(compositor, flat_image_headset, context):
 
 
 @pytest.mark.gl
-def test_everything_that_lies_on_the_gpu(compositor, flat_image_headset):
+def test_everything_that_lies_on_the_gpu(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, context="egl")
     raster, seen = GlRaster(made.context, scene()), viewpoint(flat_image_headset)
     (camera,) = made.begin_frame(HEAD, seen).values()
@@ -83,7 +92,7 @@ def test_everything_that_lies_on_the_gpu(compositor, flat_image_headset):
         assert (difference > 1).mean() < 0.002
 
 
-def bad_arrays(size):
+def bad_arrays(size: tuple[int, int]) -> tuple[tuple[tuple[Any, ...], str], ...]:
     width, height = size
     colour, depth = np.zeros((height, width, 3), np.uint8), np.ones((height, width), np.float32)
     near, below = depth.copy(), depth.copy()
@@ -107,7 +116,9 @@ def bad_arrays(size):
 
 
 @pytest.mark.gl
-def test_a_picture_that_is_none_is_told_in_a_sentence_and_the_right_one_is_taken_then(compositor, flat_image_headset):
+def test_a_picture_that_is_none_is_told_in_a_sentence_and_the_right_one_is_taken_then(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made = compositor(flat_image_headset)
     source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
     (camera,) = draw(made, source, HEAD, seen).values()
@@ -122,7 +133,9 @@ def test_a_picture_that_is_none_is_told_in_a_sentence_and_the_right_one_is_taken
 
 
 @pytest.mark.gl
-def test_a_gpu_picture_of_elsewhere_is_told_in_a_sentence(compositor, flat_image_headset, gl_context):
+def test_a_gpu_picture_of_elsewhere_is_told_in_a_sentence(
+    compositor: Callable[..., Any], flat_image_headset: Eye, gl_context: GlContext
+) -> None:
     made = compositor(flat_image_headset, context="egl")
     seen, raster = viewpoint(flat_image_headset), GlRaster(made.context, scene())
     (camera,) = made.begin_frame(HEAD, seen).values()
@@ -149,7 +162,9 @@ def test_a_gpu_picture_of_elsewhere_is_told_in_a_sentence(compositor, flat_image
 
 
 @pytest.mark.gl
-def test_a_picture_that_overwrote_the_other_eyes_is_refused(compositor, flat_image_headset):
+def test_a_picture_that_overwrote_the_other_eyes_is_refused(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     models = {"left": replace(flat_image_headset, eye="left"), "right": flat_image_headset}
     made, seen = compositor(models, context="egl"), viewpoint(flat_image_headset)
     raster = GlRaster(made.context, scene())
@@ -162,7 +177,9 @@ def test_a_picture_that_overwrote_the_other_eyes_is_refused(compositor, flat_ima
 
 
 @pytest.mark.gl
-def test_an_engine_may_write_over_what_it_has_submitted(compositor, flat_image_headset):
+def test_an_engine_may_write_over_what_it_has_submitted(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
@@ -173,7 +190,7 @@ def test_an_engine_may_write_over_what_it_has_submitted(compositor, flat_image_h
 
 
 @pytest.mark.gl
-def test_words_do_not_stand_for_kinds_and_rows(compositor, flat_image_headset):
+def test_words_do_not_stand_for_kinds_and_rows(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
@@ -191,7 +208,9 @@ def test_words_do_not_stand_for_kinds_and_rows(compositor, flat_image_headset):
 
 
 @pytest.mark.gl
-def test_pictures_larger_than_opengl_takes_are_refused_at_once(compositor, flat_image_headset):
+def test_pictures_larger_than_opengl_takes_are_refused_at_once(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     for size in ((10**6, 20), (20, 10**6)):
         with pytest.raises(BadInputError, match="and OpenGL takes"):
             compositor(flat_image_headset, size=size, context="egl")
@@ -200,8 +219,8 @@ def test_pictures_larger_than_opengl_takes_are_refused_at_once(compositor, flat_
 @pytest.mark.gl
 @pytest.mark.parametrize("stored", [StoredDepth(), INVERSE, WINDOW, REVERSED], ids=lambda stored: stored.kind.name)
 def test_a_depth_that_is_no_number_is_background_and_changes_only_its_neighbourhood(
-    compositor, flat_image_headset, stored
-):
+    compositor: Callable[..., Any], flat_image_headset: Eye, stored: StoredDepth
+) -> None:
     made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     source = SceneSource(made, scene())
     (camera,) = draw(made, source, HEAD, seen).values()
@@ -215,12 +234,12 @@ def test_a_depth_that_is_no_number_is_background_and_changes_only_its_neighbourh
     wrong = [np.nan] if stored.kind is DepthKind.WINDOW else [np.nan, np.inf]
     nothing = 0.0 if stored.kind is not DepthKind.WINDOW else stored.nothing
 
-    def source_with(value, pixels):
+    def source_with(value: Float32Array | float, pixels: tuple[slice, slice]) -> Float32Array:
         spoilt = depth.copy()
         spoilt[pixels] = value
         made.begin_frame(HEAD, seen)
         made.submit(image.colour, spoilt, stored=stored)
-        return made.compose(pose=TURNED, with_source=True).source()
+        return np.asarray(made.compose(pose=TURNED, with_source=True).source())
 
     hole = np.s_[row : row + 3, column : column + 3]
     everywhere = np.s_[:, :]
@@ -233,7 +252,7 @@ def test_a_depth_that_is_no_number_is_background_and_changes_only_its_neighbourh
 
 
 @pytest.mark.gl
-def test_depths_that_are_no_distance_are_refused(compositor, flat_image_headset):
+def test_depths_that_are_no_distance_are_refused(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
@@ -257,13 +276,15 @@ def test_depths_that_are_no_distance_are_refused(compositor, flat_image_headset)
 
 
 @pytest.mark.gl
-def test_depths_in_textures_that_are_no_distance_are_background(compositor, flat_image_headset):
+def test_depths_in_textures_that_are_no_distance_are_background(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
     made, seen = compositor(flat_image_headset, context="egl"), viewpoint(flat_image_headset)
     source = SceneSource(made, scene())
     (camera,) = draw(made, source, HEAD, seen).values()
     image = source.read(camera.view)
 
-    def composed(stored, sound, value):
+    def composed(stored: StoredDepth, sound: float, value: float) -> Float32Array:
         depth = np.full(camera.size_px[::-1], sound, np.float32)
         depth[20:40, 30:60] = value
         with made.context.drawing() as ctx:
@@ -273,7 +294,7 @@ def test_depths_in_textures_that_are_no_distance_are_background(compositor, flat
             )
         made.begin_frame(HEAD, seen)
         made.submit(*textures, stored=stored, rows=Rows.TOP_FIRST)
-        return made.compose(pose=TURNED, with_source=True).source()
+        return np.asarray(made.compose(pose=TURNED, with_source=True).source())
 
     for stored, sound, nothing, values in (
         (StoredDepth(), 0.5, 0.0, [np.nan, np.inf, -1.0, 1e-20]),
@@ -288,11 +309,13 @@ def test_depths_in_textures_that_are_no_distance_are_background(compositor, flat
 
 @pytest.mark.gl
 @pytest.mark.parametrize("on_gpu", [False, True])
-def test_pull_maps_of_colours_are_those_of_their_own_picture(compositor, flat_image_headset, on_gpu):
+def test_pull_maps_of_colours_are_those_of_their_own_picture(
+    compositor: Callable[..., Any], flat_image_headset: Eye, on_gpu: bool
+) -> None:
     made = compositor({"right": [flat_image_headset] * 3})
     source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
 
-    def submit(pose, depth_m):
+    def submit(pose: FloatArray, depth_m: float) -> None:
         (camera,) = made.begin_frame(pose, seen).values()
         if on_gpu:
             source.submit(camera)

@@ -3,6 +3,9 @@
 import re
 import shutil
 import subprocess
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 import gl_scenes
 import moderngl
@@ -19,11 +22,11 @@ OWN_WARP = {"own_warp.glsl"}  # for other programs: test_warp_mesh.py
 
 
 @pytest.fixture
-def sources(monkeypatch):
+def sources(monkeypatch: pytest.MonkeyPatch) -> dict[object, object]:
     """Texts of the shaders that are compiled from now on, with the stage of each."""
     compiled, compile_program = {}, moderngl.Context.program
 
-    def program(context, **shaders):
+    def program(context: moderngl.Context, **shaders: Any) -> moderngl.Program:
         compiled.update((text, STAGES[kind]) for kind, text in shaders.items())
         return compile_program(context, **shaders)
 
@@ -31,7 +34,7 @@ def sources(monkeypatch):
     return compiled
 
 
-def compose_all_kinds(compositor):
+def compose_all_kinds(compositor: Callable[..., Any]) -> None:
     """Compose pictures of all kinds, with three colours, an overlay, an inset and a uniformity map, and a scene."""
     model, light = planar(), PanelLight(uniformity=np.full(SMALL[::-1], 0.5), bits=10)
     given = compositor({"right": [model] * 3}, resolution=0.5, panel=light, context="egl")
@@ -48,7 +51,9 @@ def compose_all_kinds(compositor):
 
 @pytest.mark.slow
 @pytest.mark.gl
-def test_the_reference_compiler_accepts_every_shader(compositor, sources, tmp_path):
+def test_the_reference_compiler_accepts_every_shader(
+    compositor: Callable[..., Any], sources: Mapping[object, object], tmp_path: Path
+) -> None:
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         pytest.skip("glslangValidator is not installed (glslang-tools).")

@@ -3,15 +3,16 @@ import pytest
 from gl_scenes import OFF_CENTRE
 
 from wlr_render.geometry import transforms
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.view import View, image_from_ray_map
 
 
-def pose(rng):
+def pose(rng: np.random.Generator) -> FloatArray:
     return transforms.rigid(transforms.rotations_of_vectors(rng.normal(size=3)), rng.normal(size=3))
 
 
 @pytest.mark.parametrize("lead", [(), (1,), (3, 1, 2)])
-def test_a_point_is_the_same_world_point_by_both_ways(lead):
+def test_a_point_is_the_same_world_point_by_both_ways(lead: tuple[int, ...]) -> None:
     rng = np.random.default_rng(4)
     view = View(OFF_CENTRE, rng.normal(size=3), pose(rng), pose(rng)[:3, :3])
     viewpoint, axes = rng.normal(size=3), pose(rng)[:3, :3]
@@ -26,7 +27,7 @@ def test_a_point_is_the_same_world_point_by_both_ways(lead):
         np.testing.assert_allclose(seen, point_in_world, atol=1e-12)
 
 
-def test_a_camera_beside_the_viewpoint_with_the_same_axes_only_shifts():
+def test_a_camera_beside_the_viewpoint_with_the_same_axes_only_shifts() -> None:
     rng = np.random.default_rng(5)
     axes, head, viewpoint, beside = pose(rng)[:3, :3], pose(rng), np.array([0.0, 0.1, 0.2]), np.array([1e-3, 0, -2e-3])
     carried = image_from_ray_map(View(OFF_CENTRE, viewpoint + beside, head, axes), viewpoint, axes, head)

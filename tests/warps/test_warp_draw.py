@@ -1,13 +1,19 @@
 """Rays told in another frame, coarser than pixels, per row and per colour; pictures into a caller's framebuffer."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
+from present import present
 from warping import uploaded, uploaded_field
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.gl.context import GlContext
 from wlr_render.mappings import Panel
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.warp.gl_warp import GlWarp, WarpTarget
 from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.view import GeometryImage
@@ -20,7 +26,7 @@ HEIGHT, WIDTH = 60, 80
 
 
 @pytest.fixture
-def image():
+def image() -> GeometryImage:
     """A near disc before a tilted wall, with smooth colours."""
     tangents = CAMERA.pixel_centre_tangents()
     depth = 0.7 + 0.4 * tangents[..., 0] - 0.2 * tangents[..., 1]
@@ -29,23 +35,23 @@ def image():
     return GeometryImage(np.rint(127 + 120 * np.sin(waves)).astype(np.uint8), depth.astype(np.float32))
 
 
-def smooth_bend(u, v, offset=0.02):
+def smooth_bend(u: FloatArray, v: FloatArray, offset: float = 0.02) -> Float32Array:
     """Rays at display positions from 0 to 1, bent smoothly; (4, ...)."""
     x, y = u - 0.5, 0.5 - v
     a, b = 0.7 * x * (1 + 0.3 * y * y), 0.6 * y * (1 + 0.2 * x)
     return np.stack([a, b, offset * (1 + x), -0.4 * offset * (1 - y)]).astype(np.float32)
 
 
-def motion(angle, by=(0.01, -0.005, 0.02)):
+def motion(angle: float, by: tuple[float, float, float] = (0.01, -0.005, 0.02)) -> FloatArray:
     return transforms.rigid(transforms.rotation_about("y", angle), np.array(by))
 
 
-def assert_alike(one, other, share=0.999):
+def assert_alike(one: WarpedImage, other: WarpedImage, share: float = 0.999) -> None:
     """Same status, source to 1e-3 px, colour to one code; but where rounding decides on which side of an edge."""
     same = one.status == other.status
     assert same.mean() > share
     found = same & (one.status <= WarpStatus.DISOCCLUDED)
-    close = np.abs(one.source[found] - other.source[found]).max(axis=-1) < 1e-3
+    close = np.abs(present(one.source)[found] - present(other.source)[found]).max(axis=-1) < 1e-3
     assert close.mean() > share
     assert np.abs(one.colour[found].astype(int) - other.colour[found])[close].max() <= 1
 
@@ -54,13 +60,20 @@ CELLS = WarpGrid.edge_to_edge(Panel(80, 60), 21, 16)
 FINE_CELLS = WarpGrid.edge_to_edge(Panel(80, 60), 81, 61)
 
 
-def at_points(warp_grid, offset=0.02):
+def at_points(warp_grid: WarpGrid, offset: float = 0.02) -> Float32Array:
     """`smooth_bend` at the points of a warp grid."""
     u, v = np.moveaxis(warp_grid.panel_pixel() / warp_grid.panel.size_px, -1, 0)
     return smooth_bend(u, v, offset)
 
 
-def by_opengl(context, image, offsets, transform, hole=None, **options):
+def by_opengl(
+    context: GlContext,
+    image: GeometryImage,
+    offsets: Sequence[float],
+    transform: FloatArray,
+    hole: tuple[int, int] | None = None,
+    **options: Any,
+) -> WarpedImage:
     """Along `smooth_bend` rays of each channel; the first has no ray at the corners of a pixel (row, column)."""
     fields = [at_points(FINE_CELLS, offset) for offset in offsets]
     if hole is not None:
@@ -70,7 +83,7 @@ def by_opengl(context, image, offsets, transform, hole=None, **options):
     return warp.draw(picture, textures, transform, (WIDTH, HEIGHT), with_source=True, **options).read()
 
 
-def in_other_frame(slope_offset, transform):
+def in_other_frame(slope_offset: Float32Array, transform: FloatArray) -> FloatArray:
     """Rays (4, ...) told in another camera frame: X = (c, d, 0) + l (a, b, -1), moved and slid along to z = 0."""
     a, b, c, d = slope_offset.astype(float)
     start = transforms.apply(transform, np.stack([c, d, 0 * c], axis=-1))
@@ -80,7 +93,7 @@ def in_other_frame(slope_offset, transform):
 
 
 @pytest.mark.parametrize("samples_per_axis", [1, 2])
-def test_rays_transformed_to_another_frame(gl_context, image, samples_per_axis):
+def test_rays_transformed_to_another_frame(gl_context: GlContext, image: GeometryImage, samples_per_axis: int) -> None:
     """The shader's transform is that of rays which are told in the picture's frame to begin with."""
     options, transform = {"samples_per_axis": samples_per_axis}, motion(0.15)
     carried = by_opengl(gl_context, image, [0.02], transform, **options)
@@ -91,44 +104,46 @@ def test_rays_transformed_to_another_frame(gl_context, image, samples_per_axis):
     assert {WarpStatus.SEEN, WarpStatus.DISOCCLUDED, WarpStatus.OUTSIDE} <= set(carried.status.ravel())
 
 
-def test_each_row_has_its_own_transform(gl_context, image):
+def test_each_row_has_its_own_transform(gl_context: GlContext, image: GeometryImage) -> None:
     by_row = np.stack([motion(0.1 * k / HEIGHT, (0.02 * k / HEIGHT, 0, 0)) for k in range(HEIGHT)])
     result = by_opengl(gl_context, image, [0.02], by_row)
     for row in (0, 31, HEIGHT - 1):
         alone = by_opengl(gl_context, image, [0.02], by_row[row])
-        assert_alike(*(WarpedImage(each.colour[row], each.status[row], each.source[row]) for each in (result, alone)))
+        assert_alike(
+            *(WarpedImage(each.colour[row], each.status[row], present(each.source)[row]) for each in (result, alone))
+        )
 
 
-def assert_fine_enough(context, image, transform, most_px):
+def assert_fine_enough(context: GlContext, image: GeometryImage, transform: FloatArray, most_px: float) -> None:
     """Assert that a coarse grid of curved rays gives the sources of one with a point at every pixel's corners."""
     field, picture = uploaded_field(context, at_points(CELLS), CELLS), uploaded(context, image, CAMERA)
     drawn = GlWarp(context).draw(picture, [field], transform, (WIDTH, HEIGHT), with_source=True).read()
     expected = by_opengl(context, image, [0.02], transform)
     same = (drawn.status == 0) & (expected.status == 0)
     assert same.mean() > 0.7
-    assert np.percentile(np.abs(drawn.source - expected.source)[same], 99) < most_px
+    assert np.percentile(np.abs(present(drawn.source) - present(expected.source))[same], 99) < most_px
 
 
-def test_rows_between_coarse_grid_points_take_their_own_transform(gl_context, image):
+def test_rows_between_coarse_grid_points_take_their_own_transform(gl_context: GlContext, image: GeometryImage) -> None:
     by_row = np.stack([motion(0.02 * k / HEIGHT, (0.005 * k / HEIGHT, 0, 0)) for k in range(HEIGHT)])
     assert_fine_enough(gl_context, image, by_row, 0.005)
 
 
-def test_second_differences_make_a_coarse_grid_exact(gl_context, image):
+def test_second_differences_make_a_coarse_grid_exact(gl_context: GlContext, image: GeometryImage) -> None:
     assert_fine_enough(gl_context, image, np.eye(4), 0.003)
 
 
 @pytest.mark.parametrize("samples_per_axis", [1, 2])
-def test_each_colour_follows_its_own_rays(gl_context, image, samples_per_axis):
+def test_each_colour_follows_its_own_rays(gl_context: GlContext, image: GeometryImage, samples_per_axis: int) -> None:
     offsets, hole = (0.018, 0.02, 0.025), (3, 4)
-    options = {"background": (9, 8, 7), "samples_per_axis": samples_per_axis}
+    options: dict[str, Any] = {"background": (9, 8, 7), "samples_per_axis": samples_per_axis}
     result = by_opengl(gl_context, image, offsets, motion(0.02), **options)
     for channel, offset in enumerate(offsets):
         alone = by_opengl(gl_context, image, [offset], motion(0.02), **options)
         assert (np.abs(result.colour[..., channel].astype(int) - alone.colour[..., channel]) <= 1).mean() > 0.999
         assert (result.status >= alone.status).mean() > 0.999
         if channel == 1:
-            np.testing.assert_allclose(result.source, alone.source, atol=1e-3)
+            np.testing.assert_allclose(present(result.source), present(alone.source), atol=1e-3)
     holed = by_opengl(gl_context, image, offsets, motion(0.02), hole=hole, **options)
     assert holed.status[hole] == WarpStatus.NO_RAY
     assert holed.colour[hole][0] == 9
@@ -136,17 +151,19 @@ def test_each_colour_follows_its_own_rays(gl_context, image, samples_per_axis):
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_between_grid_points_the_shader_interpolates_as_the_warp_grid_does(gl_context, image, times):
+def test_between_grid_points_the_shader_interpolates_as_the_warp_grid_does(
+    gl_context: GlContext, image: GeometryImage, times: int
+) -> None:
     size = (80 * times, 60 * times)
     slope_offset = at_points(CELLS, offset=0.0)
     field = uploaded_field(gl_context, slope_offset, CELLS)
     drawn = GlWarp(gl_context).draw(uploaded(gl_context, image, CAMERA), [field], np.eye(4), size, with_source=True)
     pixel = (np.stack(np.meshgrid(*map(np.arange, size)), axis=-1) + 0.5) / times
     rays = CELLS.interpolated(slope_offset, pixel.reshape(-1, 2)).reshape(*pixel.shape[:2], 4)
-    np.testing.assert_allclose(drawn.read().source, CAMERA.pixel_of_tangents(rays[..., :2]), atol=1e-3)
+    np.testing.assert_allclose(present(drawn.read().source), CAMERA.pixel_of_tangents(rays[..., :2]), atol=1e-3)
 
 
-def test_an_unsolved_grid_point_makes_a_hole_of_its_triangles(gl_context, image):
+def test_an_unsolved_grid_point_makes_a_hole_of_its_triangles(gl_context: GlContext, image: GeometryImage) -> None:
     slope_offset = at_points(CELLS, offset=0.0)
     slope_offset[:, 7, 9] = np.nan
     field = uploaded_field(gl_context, slope_offset, CELLS)
@@ -160,7 +177,7 @@ def test_an_unsolved_grid_point_makes_a_hole_of_its_triangles(gl_context, image)
 
 
 @pytest.mark.parametrize("top_row_first", [True, False])
-def test_into_a_part_of_a_callers_framebuffer(gl_context, image, top_row_first):
+def test_into_a_part_of_a_callers_framebuffer(gl_context: GlContext, image: GeometryImage, top_row_first: bool) -> None:
     with gl_context.drawing():
         canvas = gl_context.target((WIDTH + 30, HEIGHT + 20), 4, "f1")
         canvas.write(np.full((HEIGHT + 20, WIDTH + 30, 4), 77, np.uint8))
@@ -184,7 +201,7 @@ def test_into_a_part_of_a_callers_framebuffer(gl_context, image, top_row_first):
     assert (drawn[untouched] == 77).all()
 
 
-def test_mismatched_ray_maps_and_transforms_are_refused(gl_context, image):
+def test_mismatched_ray_maps_and_transforms_are_refused(gl_context: GlContext, image: GeometryImage) -> None:
     warp, picture = GlWarp(gl_context, 3), uploaded(gl_context, image, CAMERA)
     field = uploaded_field(gl_context, at_points(CELLS), CELLS)
     other = WarpGrid.edge_to_edge(CELLS.panel, 5, 6)

@@ -1,6 +1,9 @@
 import shutil
 import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +15,13 @@ from wlr_render.engine import DepthKind
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
+from wlr_render.gl.context import GlContext
 from wlr_render.io.atomic_files import resource
-from wlr_render.mappings import QueryResult, Status
+from wlr_render.mappings import Eye, Panel, QueryResult, Status
+from wlr_render.numerics.arrays import Float32Array, FloatArray, IntArray
 from wlr_render.numerics.srgb import encode_srgb
 from wlr_render.warp.choose_grid import ray_error_arcmin
+from wlr_render.warp.eye_camera import EyeCamera
 from wlr_render.warp.ray_map import solve_pixels
 from wlr_render.warp.warp_mesh import WarpMesh
 
@@ -26,20 +32,20 @@ MOVED = HEAD @ transforms.rigid(np.eye(3), np.array([0.06, -0.02, 0.05]))
 
 
 @pytest.fixture(scope="module")
-def eye():
+def eye() -> Eye:
     return planar()
 
 
 @pytest.fixture(scope="module")
-def mesh(eye):
+def mesh(eye: Eye) -> WarpMesh:
     return WarpMesh(eye, SIZE, tolerance_arcmin=0.05)
 
 
-def pupil(eye):
+def pupil(eye: Eye) -> FloatArray:
     return eye.eye_box.at(np.array([0.6, -0.5, 0.4]))
 
 
-def triangles_around(mesh, place):
+def triangles_around(mesh: WarpMesh, place: FloatArray) -> tuple[FloatArray, IntArray]:
     """(m, 3) barycentric coordinates of a panel place (2,) in each triangle, and which contain it."""
     corner = mesh.panel_position[mesh.triangles].astype(float)
     side = (corner[:, [1, 2]] - corner[:, [0]]).swapaxes(1, 2)
@@ -48,14 +54,14 @@ def triangles_around(mesh, place):
     return weight, np.flatnonzero((weight > -1e-6).all(axis=1))
 
 
-def interpolated(mesh, rays, places):
+def interpolated(mesh: WarpMesh, rays: Float32Array, places: FloatArray) -> FloatArray:
     """Rays (n, 4) at panel places (n, 2), 0..1, as a rasteriser interpolates them."""
     weights = [(weight[around[0]], around[0]) for weight, around in (triangles_around(mesh, each) for each in places)]
     return np.stack([weight @ rays[mesh.triangles[around]] for weight, around in weights])
 
 
 @pytest.mark.slow
-def test_rays_inside_triangles_are_within_the_bound(eye, mesh):
+def test_rays_inside_triangles_are_within_the_bound(eye: Eye, mesh: WarpMesh) -> None:
     place = np.random.default_rng(5).uniform(0, 1, (60, 2))
     axes = mesh.camera(np.eye(4), pupil(eye)).view.device_from_camera
     exact = solve_pixels(eye, axes, place * eye.display.panel.size_px, pupil(eye)).slope_offset
@@ -65,30 +71,30 @@ def test_rays_inside_triangles_are_within_the_bound(eye, mesh):
     assert 0.2 * mesh.bound_arcmin < worst < mesh.bound_arcmin <= 0.05
 
 
-def test_triangles_cover_the_panel_once(mesh):
+def test_triangles_cover_the_panel_once(mesh: WarpMesh) -> None:
     places = np.random.default_rng(7).uniform(0, 1, (30, 2))
     assert {triangles_around(mesh, each)[1].size for each in places} == {1}
 
 
 @pytest.mark.slow
-def test_a_finer_tolerance_makes_a_finer_mesh(eye, mesh):
+def test_a_finer_tolerance_makes_a_finer_mesh(eye: Eye, mesh: WarpMesh) -> None:
     finer = WarpMesh(eye, (1440, 1600), tolerance_arcmin=0.0125)
     assert 3 < len(finer.triangles) / len(mesh.triangles) < 6
     assert finer.bound_arcmin <= 0.0125
 
 
 @pytest.mark.slow
-def test_a_mesh_is_no_finer_than_the_picture(eye):
+def test_a_mesh_is_no_finer_than_the_picture(eye: Eye) -> None:
     assert len(WarpMesh(eye, (18, 20), tolerance_arcmin=0.001).panel_position) <= 20 * 22
 
 
-def exact_at_vertices(mappings, mesh, viewpoint):
+def exact_at_vertices(mappings: Eye, mesh: WarpMesh, viewpoint: FloatArray) -> FloatArray:
     axes = mesh.camera(np.eye(4), viewpoint).view.device_from_camera
     pixel = mesh.panel_position * mappings.display.panel.size_px
     return solve_pixels(mappings, axes, pixel, viewpoint).slope_offset
 
 
-def test_each_colour_has_the_rays_of_its_own_model(flat_image_headset):
+def test_each_colour_has_the_rays_of_its_own_model(flat_image_headset: Eye) -> None:
     see_through, at = flat_image_headset.see_through, pupil(flat_image_headset)
     colours = [
         replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.01, 0.0, 0.02)
@@ -105,17 +111,17 @@ class HalfDisplay:
     whole: object
     column: float
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Panel:
         return getattr(self.whole, name)
 
-    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
         seen = self.whole.view_dir_of_pixel(pixel, viewpoint)
         lost = np.asarray(pixel)[..., 0] < self.column
         value, status = np.where(lost[..., None], np.nan, seen.value), np.where(lost, Status.MISS, seen.status)
         return QueryResult(value, status.astype(np.uint8))
 
 
-def test_vertices_without_rays_are_nan_and_the_others_exact(flat_image_headset):
+def test_vertices_without_rays_are_nan_and_the_others_exact(flat_image_headset: Eye) -> None:
     half = replace(flat_image_headset, display=HalfDisplay(flat_image_headset.display, 50.0))
     mesh, at = WarpMesh(half, SIZE), pupil(flat_image_headset)
     rays, lost = mesh.rays(at)[0], mesh.panel_position[:, 0] * 140 < 50
@@ -141,12 +147,14 @@ def test_vertices_without_rays_are_nan_and_the_others_exact(flat_image_headset):
         ),
     ],
 )
-def test_wrong_input_is_named(eye, mesh, wrong, words):
+def test_wrong_input_is_named(eye: Eye, mesh: WarpMesh, wrong: Callable[..., Any], words: str) -> None:
     with pytest.raises(BadInputError, match=words):
         wrong(eye, mesh)
 
 
-def judged(eye, mesh, camera, newest, source, colour):
+def judged(
+    eye: Eye, mesh: WarpMesh, camera: EyeCamera, newest: FloatArray, source: Float32Array, colour: Float32Array
+) -> None:
     """Prints and checks what a shader made: positions (h, w, 3) and linear light (h, w, 3), top row first."""
     expected = expected_source(eye, camera.view.device_from_camera, SIZE, camera, pupil(eye), newest)
     known = np.isfinite(expected[..., 0])
@@ -164,7 +172,7 @@ def judged(eye, mesh, camera, newest, source, colour):
     assert light_error.max() < 0.02
 
 
-def check(gpu, eye, mesh, newest, **options):
+def check(gpu: Any, eye: Eye, mesh: WarpMesh, newest: FloatArray, **options: Any) -> None:
     """The picture is of an older head pose and an older pupil."""
     camera = mesh.camera(HEAD, eye.eye_box.centre)
     colour, depth = drawn(camera)
@@ -181,13 +189,15 @@ def check(gpu, eye, mesh, newest, **options):
 
 @pytest.mark.gl
 @pytest.mark.parametrize(("rows_up", "newest"), [(False, TURNED), (True, MOVED)])
-def test_the_glsl_warp_shows_what_the_exact_rays_meet(gl_context, eye, mesh, rows_up, newest):
+def test_the_glsl_warp_shows_what_the_exact_rays_meet(
+    gl_context: GlContext, eye: Eye, mesh: WarpMesh, rows_up: bool, newest: FloatArray
+) -> None:
     check(OpenGl(gl_context), eye, mesh, newest, rows_up=rows_up)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("newest", [TURNED, MOVED])
-def test_the_wgsl_warp_shows_what_the_exact_rays_meet(eye, mesh, newest):
+def test_the_wgsl_warp_shows_what_the_exact_rays_meet(eye: Eye, mesh: WarpMesh, newest: FloatArray) -> None:
     wgpu = pytest.importorskip("wgpu", reason="wgpu is not installed; pip install '.[wgpu]'.")
     try:
         gpu = WebGpu(wgpu)
@@ -197,7 +207,7 @@ def test_the_wgsl_warp_shows_what_the_exact_rays_meet(eye, mesh, newest):
 
 
 @pytest.mark.parametrize("stage", ["vertex", "fragment"])
-def test_the_glsl_warp_compiles_for_vulkan_metal_and_direct3d(stage, tmp_path):
+def test_the_glsl_warp_compiles_for_vulkan_metal_and_direct3d(stage: str, tmp_path: Path) -> None:
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         pytest.skip("glslangValidator is not installed (glslang-tools).")

@@ -1,3 +1,6 @@
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -7,22 +10,25 @@ from benchmarks.accuracy.measurements import display, see_through, stuck
 from benchmarks.trial_study import Study
 from benchmarks.trials import EvaluatedEye, FoundBench, Measure, Outcome
 from wlr_render.evaluation.metrics import summary
+from wlr_render.report.blocks import ReportTable
 
 BOX = (10.0, 8.0, 6.0)
 NORTHSTAR = EvaluatedEye("northstar", "right", BOX, name="northstar")
 
 
-def outcome(rms, predicted, shift_um=30.0, turn_urad=100.0, seconds=1.0):
+def outcome(
+    rms: float, predicted: float, shift_um: float = 30.0, turn_urad: float = 100.0, seconds: float = 1.0
+) -> Outcome:
     errors = {Measure.FORWARD: rms, Measure.REAL_POINT: rms, Measure.PREDICTED: predicted}
     found = FoundBench(0.25, shift_um, turn_urad)
     return Outcome({name: summary([value]) for name, value in errors.items()}, found, 500, seconds)
 
 
-def rows_of(table):
+def rows_of(table: ReportTable) -> list[dict[str, Any]]:
     return [dict(zip(table.columns, row, strict=True)) for row in table.rows]
 
 
-def test_draws_are_averaged_beside_the_figure_wanted_and_the_prediction_is_pooled():
+def test_draws_are_averaged_beside_the_figure_wanted_and_the_prediction_is_pooled() -> None:
     study = Study([NORTHSTAR], lambda trial: outcome(3.0 + getattr(trial, "repeat", 0), 5.0), 2)
     for experiment, wanted, first in ((display, 0.12, 0), (see_through, 0.06, 1)):
         (table,) = experiment(study).blocks
@@ -33,7 +39,7 @@ def test_draws_are_averaged_beside_the_figure_wanted_and_the_prediction_is_poole
         assert rows_of(table)[first]["standard error"] is None  # exact captures are drawn once
 
 
-def test_fits_in_a_wrong_maximum_are_counted():
+def test_fits_in_a_wrong_maximum_are_counted() -> None:
     found = [(30.0, 100.0), (14.0, 100.0), (30.0, 210.0), (58.0, 55.0)]
     study = Study([NORTHSTAR], lambda trial: outcome(1.0, 1.0, *found[trial.repeat]))
     (row,) = rows_of(stuck(study, 4).blocks[0])
@@ -41,10 +47,10 @@ def test_fits_in_a_wrong_maximum_are_counted():
     assert row["least shift found / true"] == pytest.approx(14 / 30)
 
 
-def test_sessions_of_labs_are_counted_by_kind():
+def test_sessions_of_labs_are_counted_by_kind() -> None:
     """One of two sessions of each kind is honest."""
 
-    def run(trial):
+    def run(trial: LabTrial) -> Outcome:
         if trial.level == 0.0:
             return Outcome({}, refused="why")
         honest = {"true": 1.0, "predicted": 1.1 - 0.6 * trial.repeat, "in 68 %": 0.7, "in 95 %": 0.9}
@@ -64,7 +70,7 @@ def test_sessions_of_labs_are_counted_by_kind():
 
 
 @pytest.mark.slow
-def test_a_session_of_a_lab_is_fitted():
+def test_a_session_of_a_lab_is_fitted() -> None:
     trial = LabTrial("birdbath28", "planar", None, 9, BOX, level=0.5, without=("drift",), stated=())
     found = trial.run(1)
     assert found.refused == ""
@@ -74,7 +80,7 @@ def test_a_session_of_a_lab_is_fitted():
 
 
 @pytest.mark.slow
-def test_the_benchmark_keeps_its_tables(tmp_path):
+def test_the_benchmark_keeps_its_tables(tmp_path: Path) -> None:
     arguments = ["accuracy", "northstar", "--part", "stuck", "--stuck", "1", "--draws", "1", "--workers", "1"]
     assert main([*arguments, "--out", str(tmp_path / "out"), "--record", str(tmp_path)]) == 0
     kept = (tmp_path / "accuracy.md").read_text()
@@ -82,6 +88,6 @@ def test_the_benchmark_keeps_its_tables(tmp_path):
     assert kept == (tmp_path / "out" / "accuracy.md").read_text()
 
 
-def test_an_option_without_its_part_is_refused(tmp_path, capsys):
+def test_an_option_without_its_part_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["accuracy", "--part", "time", "--stuck", "5", "--out", str(tmp_path / "out")]) == 2
     assert "--stuck is used with --part stuck" in capsys.readouterr().err

@@ -1,5 +1,8 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
+from present import present
 
 from benchmarks.accuracy.lab_statements import SHARED
 from benchmarks.accuracy.labs import lab_captures
@@ -12,7 +15,7 @@ from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.simulation.workshop import SWITCHES
 
 
-def test_a_session_depends_on_its_seed_and_states_the_truth():
+def test_a_session_depends_on_its_seed_and_states_the_truth() -> None:
     first, true = lab_captures("birdbath28", seed=4, positions=4, noise_arcmin=0.3)
     again, _ = lab_captures("birdbath28", seed=4, positions=4, noise_arcmin=0.3)
     other, _ = lab_captures("birdbath28", seed=5, positions=4, noise_arcmin=0.3)
@@ -26,17 +29,17 @@ def test_a_session_depends_on_its_seed_and_states_the_truth():
     assert len(true.seen.point) == len(true.shown.pixel)
 
 
-def test_a_session_is_a_capture_file(tmp_path):
+def test_a_session_is_a_capture_file(tmp_path: Path) -> None:
     captures, _ = lab_captures("birdbath28", positions=4, stated=("lens", "bow", "abbe", "repeatability"))
     again = load_captures(captures.save(tmp_path / "captures-right.npz"))
     for one, other in zip(captures.both, again.both, strict=True):
         np.testing.assert_array_equal(one.view_dir, other.view_dir)
         np.testing.assert_array_equal(one.time_s, other.time_s)
-        assert one.common.sources == other.common.sources
+        assert present(one.common).sources == present(other.common).sources
 
 
 @pytest.mark.slow
-def test_a_capture_bumped_by_300_um_is_found():
+def test_a_capture_bumped_by_300_um_is_found() -> None:
     captures, true = lab_captures("birdbath28", seed=1, bump_um=(300.0, 300.0))
     for fit in calibrate(captures).both:
         rows = [np.flatnonzero(fit.captures.visits[1] == each.capture)[0] for each in fit.smooth.moved]
@@ -45,15 +48,15 @@ def test_a_capture_bumped_by_300_um_is_found():
 
 
 @pytest.mark.slow
-def test_a_capture_that_moved_by_3_mm_does_not_make_all_seem_to_move():
+def test_a_capture_that_moved_by_3_mm_does_not_make_all_seem_to_move() -> None:
     """If motions that vary smoothly with the place told their size, all captures would move with this one."""
     captures, true = lab_captures("northstar", seed=22, bump_um=(3000.0, 3000.0))
-    smooth = fit_display(captures.display).smooth
+    smooth = fit_display(present(captures.display)).smooth
     assert [each.capture for each in smooth.moved] == true.bumped.tolist()
     assert smooth.shift_m < 2e-5
 
 
-def test_the_raster_is_a_serpentine_and_planned_places_are_off_it_in_random_order():
+def test_the_raster_is_a_serpentine_and_planned_places_are_off_it_in_random_order() -> None:
     raster, planned = (
         lab_captures("birdbath28", 0.0, positions=9, places=places)[0].both[0] for places in ("raster", "planned")
     )
@@ -68,18 +71,20 @@ def test_the_raster_is_a_serpentine_and_planned_places_are_off_it_in_random_orde
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHARED)
-def test_stated_errors_have_about_the_size_of_the_true_ones(name):
+def test_stated_errors_have_about_the_size_of_the_true_ones(name: str) -> None:
     at = EvaluatedEye("birdbath28", "right", (10.0, 8.0, 6.0))
     square = np.zeros(2)
     for seed in range(4):
         captures, _ = lab_captures(at.device, seed=seed, positions=9, switches=(name,), noise_arcmin=1e-6)
-        part, change = captures.display, captures.display.common.changes(captures.display, slice(None))
+        assert captures.display is not None
+        part, change = captures.display, present(captures.display.common).changes(captures.display, slice(None))
         if name == "bow":
             part = captures.see_through
+            assert part is not None
             exact = truth(at).see_through.view_dir_of_real_point(part.point, part.viewpoint).value
-            moved = part.common.changes(part, slice(None)).point
+            moved = present(part.common).changes(part, slice(None)).point
             depth = (part.viewpoint - part.point)[:, 2, None, None]
-            stated = (moved[:, :2] + moved[:, 2:] * part.tangents[:, :, None]) / depth
+            stated = (present(moved)[:, :2] + present(moved)[:, 2:] * part.tangents[:, :, None]) / depth
         else:
             exact = truth(at).display.view_dir_of_pixel(part.pixel, part.viewpoint).value
             stated = change.tangents  # the shifts by the arm change directions much less than the turns
@@ -87,10 +92,11 @@ def test_stated_errors_have_about_the_size_of_the_true_ones(name):
     assert 0.7 < np.sqrt(square[1] / square[0]) < 1.35
 
 
-def test_only_what_is_named_is_stated():
+def test_only_what_is_named_is_stated() -> None:
     captures, _ = lab_captures("birdbath28", positions=4, stated=("lens", "repeatability"))
     for part in captures.both:
-        assert {source.split()[0] for source in part.common.sources} == {"lens"}
+        assert {source.split()[0] for source in present(part.common).sources} == {"lens"}
+        assert part.motion is not None
         np.testing.assert_allclose(1e6 * part.motion.size[:, :3], 15.0, rtol=0.1)
         np.testing.assert_allclose(1e6 * part.motion.size[:, 3:], 5.0, rtol=0.1)
     nothing, _ = lab_captures("birdbath28", positions=4, stated=())

@@ -1,7 +1,10 @@
 """The judge of the diagnosis: its truths are true, its figures count what they say, a trial is kept."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -20,6 +23,7 @@ from wlr_render.bench.simulate_session import simulate
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.errors import BadInputError
+from wlr_render.report.blocks import ReportTable
 
 SIGMA_PX = 1e-3
 TINY = Plan("northstar", grid=(5, 4), dots=(5, 4), nodes=4, off_plane=4, sigma_px=SIGMA_PX, channels=(0, 1, 2))
@@ -30,7 +34,7 @@ UNSTATED = {"headset_slip": ("moment", "start_s"), "see_through_plate": ("thickn
 
 
 @pytest.mark.parametrize("name", [*LISTED, *LISTED_AT_RUN_TIME])
-def test_a_bench_with_the_true_values_predicts_the_session(name):
+def test_a_bench_with_the_true_values_predicts_the_session(name: str) -> None:
     plan = SHORT if name in LISTED_AT_RUN_TIME else TINY
     effect = draw_effect(name, np.random.default_rng(3))
     nominal, session = observed(plan, [effect], np.random.default_rng(1))
@@ -48,7 +52,9 @@ def test_a_bench_with_the_true_values_predicts_the_session(name):
     pytest.fail(f"no variant of {name} with {truth} predicts the session")
 
 
-def outcome(kind, effects, named, number=0, **changes):
+def outcome(
+    kind: TrialKind, effects: tuple[str, ...], named: tuple[str, ...], number: int = 0, **changes: Any
+) -> DiagnosisOutcome:
     """A faked outcome in which a strong effect has been diagnosed."""
     verdict = "explained" if named else "no effect"
     strong = (100.0,) * len(effects)
@@ -59,16 +65,16 @@ def outcome(kind, effects, named, number=0, **changes):
     return replace(faked, **changes)
 
 
-def figures(outcomes):
+def figures(outcomes: Sequence[DiagnosisOutcome]) -> dict[str, tuple[float, int]]:
     table = tables(outcomes)[0]
     return {row[0]: (row[1], row[2]) for row in table.rows}
 
 
-def titled(outcomes, start):
+def titled(outcomes: Sequence[DiagnosisOutcome], start: str) -> ReportTable:
     return next(table for table in tables(outcomes) if table.title.startswith(start))
 
 
-def test_a_wrong_name_counts_only_where_the_truth_could_be_told():
+def test_a_wrong_name_counts_only_where_the_truth_could_be_told() -> None:
     tilt, shift = ("combiner_tilt",), ("panel_shift",)
     wrong = [outcome(TrialKind.ONE, tilt, shift, 0), outcome(TrialKind.ONE, tilt, shift, 1, remainder=(20.0,))]
     right = [outcome(TrialKind.ONE, tilt, tilt, 2), outcome(TrialKind.ONE, tilt, (*tilt, *shift), 3)]
@@ -80,14 +86,14 @@ def test_a_wrong_name_counts_only_where_the_truth_could_be_told():
     assert confusion.rows[0][:2] == ["combiner_tilt", "panel_shift 2, combiner_tilt 2"]
 
 
-def test_coverage_and_efficiency_are_those_of_the_deviations():
+def test_coverage_and_efficiency_are_those_of_the_deviations() -> None:
     deviations = (0.5, -0.9, 2.0, -1.5)
     found = figures([outcome(TrialKind.ONE, ("latency",), ("latency",), deviations=deviations)])
     assert found["68 % intervals cover (%)"] == (50.0, 4)
     assert found["mean square of (estimate - truth) / sigma"] == (pytest.approx((0.25 + 0.81 + 4 + 2.25) / 4), 4)
 
 
-def test_an_unlisted_effect_is_judged_by_station_names_and_what_its_extension_does():
+def test_an_unlisted_effect_is_judged_by_station_names_and_what_its_extension_does() -> None:
     bubble, waves = ("combiner_bubble",), ("lens_waves",)
     found = figures(
         [
@@ -103,7 +109,7 @@ def test_an_unlisted_effect_is_judged_by_station_names_and_what_its_extension_do
     assert found["unlisted effects: corrected session diagnosed again has no effect (%)"] == (pytest.approx(100 / 3), 3)
 
 
-def test_a_cause_beside_an_unlisted_effect_needs_both_and_its_value():
+def test_a_cause_beside_an_unlisted_effect_needs_both_and_its_value() -> None:
     both, right = ("lens_waves", "panel_shift"), {"stations": ("camera",), "deviations": (2.9, -1.0)}
     kind = TrialKind.UNLISTED_BESIDE
     outcomes = [outcome(kind, both, both[1:], 0, **right), outcome(kind, both, (*both[1:], "stage_tilt"), 1, **right)]
@@ -116,7 +122,7 @@ def test_a_cause_beside_an_unlisted_effect_needs_both_and_its_value():
 
 
 @pytest.mark.parametrize("at_run_time", [False, True])
-def test_effects_stand_beside_causes_of_other_stations(at_run_time):
+def test_effects_stand_beside_causes_of_other_stations(at_run_time: bool) -> None:
     options = DiagnosisOptions(trials=30, kinds=("unlisted_beside",), conditions=("white",))
     pairs = {trial.effects for trial in trials(options) if trial.at_run_time == at_run_time}
     assert len(pairs) > 3
@@ -126,7 +132,7 @@ def test_effects_stand_beside_causes_of_other_stations(at_run_time):
 
 
 @pytest.mark.parametrize("name", ["combiner_bubble", "target_wrinkle", "hinge_flex"])
-def test_an_unlisted_effect_is_drawn_by_what_it_changes(name, monkeypatch):
+def test_an_unlisted_effect_is_drawn_by_what_it_changes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = replace(SHORT if name == "hinge_flex" else TINY, sigma_px=0.1)
     monkeypatch.setattr(trial, "_plan", lambda drawn, rng: plan)
     monkeypatch.setattr(trial, "draw_effect", partial(draw_effect, strength=10.0))
@@ -135,7 +141,7 @@ def test_an_unlisted_effect_is_drawn_by_what_it_changes(name, monkeypatch):
     assert 0.3 < ran.size < 10.5
 
 
-def test_moved_captures_are_found_missed_or_wrong():
+def test_moved_captures_are_found_missed_or_wrong() -> None:
     cause, moved = ("panel_scale",), ("display capture 3",)
     found = figures(
         [
@@ -148,7 +154,7 @@ def test_moved_captures_are_found_missed_or_wrong():
 
 
 @pytest.mark.slow
-def test_a_trial_is_judged_by_what_was_hidden_and_kept(monkeypatch, tmp_path):
+def test_a_trial_is_judged_by_what_was_hidden_and_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     small = Plan("birdbath28", grid=(8, 6), dots=(6, 5), nodes=4, off_plane=10, sigma_px=0.05)
     monkeypatch.setattr(trial, "_plan", lambda drawn, rng: small)
     few = {name: CAUSES[name] for name in ("panel_axial_shift", "panel_shift", "target_scale")}
@@ -166,11 +172,11 @@ def test_a_trial_is_judged_by_what_was_hidden_and_kept(monkeypatch, tmp_path):
     assert ran.held_out == pytest.approx(1.0, abs=0.05)
 
 
-def stopped(*arguments, **options):
+def stopped(*arguments: object, **options: object) -> NoReturn:
     raise BadInputError("Too few captures.")
 
 
-def test_a_diagnosis_that_ends_in_an_error_is_an_outcome(monkeypatch):
+def test_a_diagnosis_that_ends_in_an_error_is_an_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trial, "diagnose", stopped)
     ran = run_trial(DiagnosisTrial(TrialKind.MOVED_MANY, (), 3, Condition.ALL), 1)
     assert ran.verdict == "BadInputError: Too few captures."

@@ -1,6 +1,7 @@
 """Jobs that are killed at a few moments each, and resumed."""
 
 import os
+from pathlib import Path
 
 import pytest
 
@@ -10,7 +11,7 @@ from wlr_render.io.atomic_files import resource
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="kills with a signal")
-def test_a_job_that_is_killed_and_resumed_gives_the_files_of_an_undisturbed_one(tmp_path):
+def test_a_job_that_is_killed_and_resumed_gives_the_files_of_an_undisturbed_one(tmp_path: Path) -> None:
     device = tmp_path / "device.toml"
     text = resource("devices", "no_optics.toml").read_text(encoding="utf-8")
     device.write_text(text.replace("[1280, 720]", "[160, 90]"), encoding="utf-8")

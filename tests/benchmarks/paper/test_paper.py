@@ -1,5 +1,9 @@
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 import pytest
+from present import present
 
 from benchmarks.__main__ import main
 from benchmarks.moved_observations import moved_back, self_inconsistency_arcmin
@@ -17,30 +21,33 @@ from benchmarks.trial_study import Study
 from benchmarks.trials import EvaluatedEye, Outcome
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import summary
+from wlr_render.mappings import Eye
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.report.blocks import ReportTable
 
 SEED = 3
 BOX = (10.0, 8.0, 6.0)
 
 
-def eye(name):
+def eye(name: str) -> EvaluatedEye:
     return EvaluatedEye(name, "right", BOX, name=name)
 
 
-def test_structure_shows_every_query_of_both_samplings_in_its_unit():
+def test_structure_shows_every_query_of_both_samplings_in_its_unit() -> None:
     size = {"planar": 1.0, "volumetric": 2.0}
     study = Study((eye("a"),), lambda t: Outcome({measure: summary([size[t.kind]]) for measure in DepthMeasure}))
     (table,) = structure(study).blocks
+    assert isinstance(table, ReportTable)
     assert [row[2] for row in table.rows] == ["arcmin", "px", "arcmin", "mm", "arcmin"]
     assert all(row[3:] == [1.0, 2.0] for row in table.rows)
 
 
-def test_true_optics_answer_alike_along_a_ray():
+def test_true_optics_answer_alike_along_a_ray() -> None:
     eye = traced_eye(load_device("freeform40"))
     rng = np.random.default_rng(SEED)
     viewpoint = eye.eye_box.at(rng.uniform(-1, 1, (40, 3)))
-    view_dir = eye.field.directions(5, 8)
+    view_dir = present(eye.field).directions(5, 8)
     through = np.full(len(view_dir), 0.006)
     seen = mapping_error.see_through_observations(eye.see_through, viewpoint, view_dir, through + 0.5)
     angle, offset = world_ray_inconsistency(eye.see_through, seen, through)
@@ -54,7 +61,7 @@ def test_true_optics_answer_alike_along_a_ray():
     np.testing.assert_allclose(pixel_inconsistency_px(eye.display, shown, through[:1]), 0.0, atol=1e-6)
 
 
-def test_a_true_display_is_unchanged_along_its_rays(flat_image_headset):
+def test_a_true_display_is_unchanged_along_its_rays(flat_image_headset: Eye) -> None:
     box = flat_image_headset.eye_box
     viewpoint = box.at(np.random.default_rng(3).uniform(-1, 1, (20, 3)))
     display_observations = mapping_error.observations_of_pixels(
@@ -74,7 +81,9 @@ def test_a_true_display_is_unchanged_along_its_rays(flat_image_headset):
     ("arguments", "words"),
     [(["--degrees", "13"], "--degrees is 13"), (["no-such-device"], "no-such-device")],
 )
-def test_impossible_studies_are_refused_before_they_start(arguments, words, tmp_path, capsys):
+def test_impossible_studies_are_refused_before_they_start(
+    arguments: Sequence[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["paper", *arguments, "--out", str(tmp_path / "out")]) == 2
     assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -9,12 +9,13 @@ from benchmarks.paper.figures import (
 from benchmarks.trials import EvaluatedEye, truth
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import arcmin_between
+from wlr_render.report.blocks import ReportTable
 
 BOX = (10.0, 8.0, 6.0)
 NORTHSTAR, BIRDBATH = (EvaluatedEye(name, "right", BOX, name=name) for name in ("northstar", "birdbath28"))
 
 
-def test_paths_are_the_rays_of_the_mappings():
+def test_paths_are_the_rays_of_the_mappings() -> None:
     eye, optics = truth(NORTHSTAR), optics_of(NORTHSTAR)
     view_dir = field_directions(NORTHSTAR, 3, 2)
     viewpoint = eye.eye_box.at(np.random.default_rng(2).uniform(-1, 1, (6, 3)))
@@ -29,8 +30,9 @@ def test_paths_are_the_rays_of_the_mappings():
     np.testing.assert_allclose((world[:, -1] - point) @ normal, 0.0, atol=1e-12)
 
 
-def test_pupil_swim_is_the_change_of_exact_directions():
+def test_pupil_swim_is_the_change_of_exact_directions() -> None:
     table, display, _ = pupil_swim((BIRDBATH,))
+    assert isinstance(table, ReportTable)
     assert [row[1] for row in table.rows] == list(MOVES_MM)
     assert len(display.layout["updatemenus"][0]["buttons"]) == len(MOVES_MM)
     eye, view_dir = truth(BIRDBATH), field_directions(BIRDBATH, 11, 9)

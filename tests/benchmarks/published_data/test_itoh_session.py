@@ -1,9 +1,13 @@
 """A camera that looks through a plate of known thickness, drawn here in closed form: imported, diagnosed, held out."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 
 from benchmarks.__main__ import main as benchmark
 from benchmarks.published_data import study
@@ -14,6 +18,7 @@ from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, rigid, rotation_about
 from wlr_render.jobs.diagnose import DiagnoseOptions, diagnose
+from wlr_render.numerics.arrays import FloatArray
 
 DOTS = np.stack([*np.meshgrid(np.linspace(0, 0.3, 7), np.linspace(0, 0.4, 6)), np.zeros((6, 7))], axis=-1).reshape(
     -1, 3
@@ -25,7 +30,7 @@ VIEWS = tuple(str(number) for number in (1, 2, 3, 5, 8, 9, 11, 20))
 FEW = {name: CAUSES[name] for name in ("see_through_plate", "target_scale", "camera_focal_length")}
 
 
-def seen_through_plate(to_point, thickness):
+def seen_through_plate(to_point: FloatArray, thickness: float) -> FloatArray:
     """Direction (n, 3) in which a plane plate before the eye, facing along z, shows points (n, 3) from the eye."""
     across, depth = np.linalg.norm(to_point[:, :2], axis=1), -to_point[:, 2]
     tangent = across / depth
@@ -35,23 +40,25 @@ def seen_through_plate(to_point, thickness):
     return np.concatenate([to_point[:, :2] / across[:, None] * tangent[:, None], -np.ones((len(to_point), 1))], axis=1)
 
 
-def pixels(direction, device_from_camera):
+def pixels(direction: FloatArray, device_from_camera: FloatArray) -> FloatArray:
     x, y, z = (direction @ device_from_camera[:3, :3]).T
-    return CENTRE + FOCAL * np.stack([x / z, y / z], axis=-1)
+    return np.asarray(CENTRE + FOCAL * np.stack([x / z, y / z], axis=-1))
 
 
-def view(number, thickness, rng):
+def view(
+    number: int, thickness: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Poses of camera and target, and where the camera sees the dots bare and through the plate."""
     turn = rotation_about("y", rng.normal(0, 0.05)) @ rotation_about("x", rng.normal(0, 0.05)) @ OPENXR_FROM_OPENCV
     camera = rigid(turn, [-0.03, -0.08, 0.12] + rng.normal(0, 0.005, 3))
-    from_camera = rigid(rotation_about("z", 0.1 * number), [-0.1, -0.15, DISTANCES_M[number % 2]])
+    from_camera = rigid(rotation_about("z", 0.1 * number), np.array([-0.1, -0.15, DISTANCES_M[number % 2]]))
     target = camera @ from_camera
     to_point = apply(target, DOTS) - camera[:3, 3]
     through = pixels(seen_through_plate(to_point, 1e-3 * thickness), camera)
     return camera, target, pixels(to_point, camera), through + rng.normal(0, SIGMA_PX, (len(DOTS), 2))
 
 
-def pairs_through_plate(thickness):
+def pairs_through_plate(thickness: float) -> SeeThroughPairs:
     rng = np.random.default_rng(4)
     cameras, targets, bare, through = zip(*(view(n, thickness, rng) for n in range(len(VIEWS))), strict=True)
     seconds = 60.0 * np.arange(len(VIEWS))
@@ -62,10 +69,12 @@ def pairs_through_plate(thickness):
 
 
 @pytest.fixture
-def imported(monkeypatch, tmp_path, capsys):
+def imported(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> Callable[[SeeThroughPairs], tuple[Path, str]]:
     """Convert such pairs; returns the folder, and what was printed."""
 
-    def convert(pairs):
+    def convert(pairs: SeeThroughPairs) -> tuple[Path, str]:
         monkeypatch.setattr(study, "read_itoh_seethrough", lambda source: pairs)
         assert benchmark(["published-data", "itoh-seethrough", str(tmp_path), "--out", str(tmp_path / "session")]) == 0
         return tmp_path / "session", capsys.readouterr().out
@@ -73,7 +82,7 @@ def imported(monkeypatch, tmp_path, capsys):
     return convert
 
 
-def test_without_optics_the_session_predicts_what_the_bare_camera_saw(imported):
+def test_without_optics_the_session_predicts_what_the_bare_camera_saw(imported: Callable[..., Any]) -> None:
     pairs = pairs_through_plate(THICKNESS_MM)
     # A pose that is 10 mm wrong: the dot still lies on the ray that the bare camera saw it along.
     poses = pairs.device_from_target.copy()
@@ -82,13 +91,18 @@ def test_without_optics_the_session_predicts_what_the_bare_camera_saw(imported):
     assert printed.startswith(f"8 captures, {8 * len(DOTS)} readings")
     bench, session = load_session(folder)
     plan = session.plan.see_through
-    np.testing.assert_allclose(simulate(bench, session.plan).dot_pixel, pairs.bare_px.reshape(-1, 2), atol=1e-8)
-    np.testing.assert_allclose(session.readings.dot_pixel, pairs.through_px.reshape(-1, 2), atol=1e-9)
+    np.testing.assert_allclose(
+        present(simulate(bench, session.plan).dot_pixel), pairs.bare_px.reshape(-1, 2), atol=1e-8
+    )
+    np.testing.assert_allclose(present(session.readings.dot_pixel), pairs.through_px.reshape(-1, 2), atol=1e-9)
+    assert plan is not None
     assert tuple(dict.fromkeys(plan.capture.astype(str))) == VIEWS
     np.testing.assert_allclose(np.unique(plan.time_s), pairs.through_time_s)
 
 
-def test_the_plate_is_found_and_predicts_the_other_distance(imported, tmp_path, capsys):
+def test_the_plate_is_found_and_predicts_the_other_distance(
+    imported: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder, _ = imported(pairs_through_plate(THICKNESS_MM))
     bench, session = load_session(folder)
     found = procedure.diagnose(bench, session, causes=FEW)
@@ -115,7 +129,9 @@ def test_the_plate_is_found_and_predicts_the_other_distance(imported, tmp_path, 
     assert "Fitted to all other distances, the causes found predict 1." in report.verdict
 
 
-def test_an_unknown_set_is_refused_and_the_known_ones_are_named(tmp_path, capsys):
+def test_an_unknown_set_is_refused_and_the_known_ones_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert benchmark(["published-data", "itoh", str(tmp_path), "--out", str(tmp_path / "session")]) == 2
     error = capsys.readouterr().err
     assert "itoh-seethrough" in error

@@ -1,15 +1,19 @@
 """A session drawn here in the foreign format: a rig of known poses before a monitor and before points in space."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from PIL import Image
+from present import present
 
 from benchmarks.__main__ import main
 from benchmarks.published_data.northstar_vcam import PANEL, read_northstar_vcam
 from wlr_render.captures.capture_file import load_captures
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
+from wlr_render.numerics.arrays import FloatArray
 
 SIZE_PX = 200
 FOCAL_PX = 150.0
@@ -24,13 +28,15 @@ IMAGE_DISTANCE_M = 0.5
 IMAGE_M = np.array([0.4, 0.36])
 
 
-def camera_dirs():
+def camera_dirs() -> FloatArray:
     """(rows, columns, 3) directions of all pixels, x right, y up, looking along -z."""
     u, v = np.meshgrid(np.arange(SIZE_PX), np.arange(SIZE_PX))
     return np.stack([(u - CENTRE_PX) / FOCAL_PX, -(v - CENTRE_PX) / FOCAL_PX, -np.ones(u.shape)], axis=-1)
 
 
-def seen_fraction(viewpoint, centre, size_m, distance_m, v_runs_up):
+def seen_fraction(
+    viewpoint: FloatArray, centre: ArrayLike, size_m: FloatArray, distance_m: float, v_runs_up: bool
+) -> FloatArray:
     """Where each pixel of a camera looks on a flat screen `distance_m` in front; 0 where it misses it."""
     hit = viewpoint[:2] + camera_dirs()[..., :2] * distance_m
     fraction = (hit - centre) / size_m + 0.5
@@ -40,7 +46,7 @@ def seen_fraction(viewpoint, centre, size_m, distance_m, v_runs_up):
     return np.where(inside[..., None], fraction, 0.0)
 
 
-def write_session(folder):
+def write_session(folder: Path) -> Path:
     folder.mkdir()
     for height, y in HEIGHT_M.items():
         for kind in "MC":
@@ -66,11 +72,11 @@ def write_session(folder):
 
 
 @pytest.fixture
-def session(tmp_path):
+def session(tmp_path: Path) -> Path:
     return write_session(tmp_path / "session")
 
 
-def test_viewpoints_and_directions_are_those_of_the_rig(session):
+def test_viewpoints_and_directions_are_those_of_the_rig(session: Path) -> None:
     found = read_northstar_vcam(session)
     for fit in found.monitor:
         assert fit.median_px < 0.02
@@ -87,13 +93,15 @@ def test_viewpoints_and_directions_are_those_of_the_rig(session):
         assert captures.sigma_arcmin[0] == pytest.approx(np.sqrt(np.mean(step**2) / 12), rel=0.01)
 
 
-def test_the_stated_baseline_is_checked_by_the_monitor(session, tmp_path, capsys):
+def test_the_stated_baseline_is_checked_by_the_monitor(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = read_northstar_vcam(session)
     np.testing.assert_allclose(found.baseline_m, BASELINE_M, atol=2e-5)
     assert found.stated_baseline_m == BASELINE_M
     assert main(["published-data", "northstar-vcam", str(session), "--out", str(tmp_path / "out")]) == 0
     assert "the rig states 60.00 mm (" in capsys.readouterr().out
-    assert load_captures(tmp_path / "out" / "captures-left.npz").display.eye == "left"
+    assert present(load_captures(tmp_path / "out" / "captures-left.npz").display).eye == "left"
     area = {"CalibrationMonitorActiveAreaMeters": {"x": 0.98 * MONITOR_M[0], "y": 0.98 * MONITOR_M[1]}}
     (session / "config.json").write_text(json.dumps(area))
     assert main(["published-data", "northstar-vcam", str(session), "--out", str(tmp_path / "out")]) == 0

@@ -18,7 +18,7 @@ from wlr_render.mappings import Panel
 
 
 @pytest.mark.skipif(not has_opencv_decoder(), reason="cv2.structured_light comes with opencv-contrib-python only")
-def test_opencv_reads_our_gray_code():
+def test_opencv_reads_our_gray_code() -> None:
     panel = Panel(40, 48)  # as many bits on both axes: older OpenCV mixes them up
     pattern = GrayCode(panel)
     photographs = [pattern.image(index) // 2 + 10 for index in range(len(pattern.names()))]
@@ -29,7 +29,7 @@ def test_opencv_reads_our_gray_code():
     np.testing.assert_array_equal(found.accepted, [True, True, True, False])
 
 
-def test_decoders_are_compared_pixel_by_pixel():
+def test_decoders_are_compared_pixel_by_pixel() -> None:
     panel = Panel(96, 64)
     pattern = GrayCode(panel)
     photographs = [pattern.image(index) // 2 + 20 for index in range(len(pattern.names()))]

@@ -1,17 +1,21 @@
 """Traces of a lens at several eye reliefs, drawn here in closed form, read as captures of a display."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from benchmarks.published_data.osvr_hdk13 import (
     PANEL,
     PIXEL_MM,
+    LensTable,
     read_osvr_captures,
     read_osvr_hdk13,
 )
 
 
-def lens_file(path, scale, field=(-4.0, 0.0, 4.0)):
+def lens_file(path: Path, scale: float, field: ArrayLike = (-4.0, 0.0, 4.0)) -> LensTable:
     rows = [(x, y, scale * x, scale * y) for x in field for y in field]
     path.write_text("\n".join("\t".join(f"{v:.2E}" for v in row) for row in rows) + "\nRay Error at 9 9\n")
     return read_osvr_hdk13(path)
@@ -21,7 +25,7 @@ FIELD = np.arange(-20.0, 21.0, 4.0)
 
 
 @pytest.fixture
-def lens_folder(tmp_path):
+def lens_folder(tmp_path: Path) -> Path:
     """A lens whose scale grows with the eye relief, and a table that is not numbered."""
     for relief, scale in ((9, 0.70), (11, 0.71), (14, 0.72)):
         lens_file(tmp_path / f"{relief}_mm_Eye_Relief_trimmed.txt", scale, FIELD)
@@ -29,7 +33,7 @@ def lens_folder(tmp_path):
     return tmp_path
 
 
-def test_tables_become_captures_from_their_eye_reliefs(lens_folder):
+def test_tables_become_captures_from_their_eye_reliefs(lens_folder: Path) -> None:
     found = read_osvr_captures(lens_folder)
     assert len(found) == 3 * len(FIELD) ** 2
     np.testing.assert_allclose(1e3 * found.viewpoint[::121], [[0, 0, -2.5], [0, 0, -0.5], [0, 0, 2.5]], atol=1e-12)

@@ -1,5 +1,8 @@
 """White and black photographs in front, and the lenses' numbers; and the photographs themselves."""
 
+from collections.abc import Callable
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -12,7 +15,7 @@ CAMERA = np.array([[3000.0, 0, 600.0], [0, 3100.0, 500.0], [0, 0, 1]])
 
 
 @pytest.fixture
-def capture(tmp_path):
+def capture(tmp_path: Path) -> Path:
     """A capture as the project writes it; only white and black are readable pictures."""
     folder = tmp_path / "capture_0"
     folder.mkdir()
@@ -28,13 +31,13 @@ def capture(tmp_path):
 
 
 @pytest.mark.parametrize("whole_set", [False, True])
-def test_white_and_black_are_moved_to_the_front(capture, whole_set):
+def test_white_and_black_are_moved_to_the_front(capture: Path, whole_set: bool) -> None:
     found = read_procam_graycode(capture.parent if whole_set else capture)
     assert [path.stem[-2:] for path in found.photographs] == ["40", "41", *(f"{number:02d}" for number in range(40))]
     assert (found.panel.width_px, found.panel.height_px) == (1024, 768)
 
 
-def test_lenses_see_what_opencv_sees_with_its_numbers(capture):
+def test_lenses_see_what_opencv_sees_with_its_numbers(capture: Path) -> None:
     found = read_procam_graycode(capture)
     assert found.camera.size_px == (1280, 1024)
     assert found.projector.size_px == (1024, 768)
@@ -45,7 +48,7 @@ def test_lenses_see_what_opencv_sees_with_its_numbers(capture):
 
 
 @pytest.mark.slow
-def test_a_projectors_photographs_lie_on_flat_surfaces(measured_data, tmp_path):
+def test_a_projectors_photographs_lie_on_flat_surfaces(measured_data: Callable[[str], Path], tmp_path: Path) -> None:
     options = PublishedDataOptions("procam-graycode", measured_data("procam_graycode"), out=tmp_path)
     tables = {table.title: table for table in run(options).tables}
     fates = {row[0]: row[2] for row in tables["Camera pixels"].rows}

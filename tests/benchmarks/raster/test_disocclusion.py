@@ -12,7 +12,7 @@ HEAD = transforms.rigid(transforms.rotation_about("y", 0.7), np.array([1.0, 1.6,
 EYE = np.array([0.03, 0.0, -0.02])
 
 
-def test_disocclusion_behind_an_edge_is_the_closed_form():
+def test_disocclusion_behind_an_edge_is_the_closed_form() -> None:
     # A sheet 1 m away reaches from the left to the middle; the wall behind it is 4 m away, and ends at x = 2 m.
     eye_from_scene = transforms.rigid(np.eye(3), EYE)
     sheet = (quad((-9, -9), (0, 9)), HEAD @ eye_from_scene @ at(0, 0, -1))
@@ -37,7 +37,7 @@ def test_disocclusion_behind_an_edge_is_the_closed_form():
         )
 
 
-def test_hit_positions_lie_on_the_plane_and_on_the_ray_in_float64():
+def test_hit_positions_lie_on_the_plane_and_on_the_ray_in_float64() -> None:
     rng = np.random.default_rng(3)
     origin = rng.uniform(-0.1, 0.1, (500, 3))
     direction = directions.dir_of_tangents(rng.uniform(-0.6, 0.6, (500, 2)))
@@ -51,7 +51,7 @@ def test_hit_positions_lie_on_the_plane_and_on_the_ray_in_float64():
     assert np.abs(hits.distance - distance).max() > 1e-8
 
 
-def test_a_ray_that_misses_has_no_hit_position():
+def test_a_ray_that_misses_has_no_hit_position() -> None:
     tracer = SceneTracer(unlit((quad((-1, -1), (1, 1)), at(0, 0, -2))))
     direction = np.array([[[0.1, 0.2, -1.0], [3.0, 0.0, -1.0]]])
     position = hit_positions(tracer, tracer.intersect(np.zeros(3), direction), np.zeros(3), direction)

@@ -1,31 +1,37 @@
 """`./wlr bench raster`: figures, frames and error map of rasterised against ray-traced frames."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from small_headsets import changed_device
 
 from benchmarks.raster.study import RasterOptions, run
+from wlr_render.gl.context import GlContext
+from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.scene.image_files import read_map, read_png
 
 
 @pytest.fixture(scope="module")
-def headset(tmp_path_factory):
+def headset(tmp_path_factory: pytest.TempPathFactory) -> str:
     return changed_device(tmp_path_factory.mktemp("device"), "birdbath28", ("[1920, 1080]", "[96, 54]"))
 
 
 @pytest.fixture(scope="module")
-def comparison(opened_gl_context, tmp_path_factory, headset, scene_file):
+def comparison(
+    opened_gl_context: GlContext, tmp_path_factory: pytest.TempPathFactory, headset: str, scene_file: str
+) -> tuple[Report, Path]:
     """A bent headset off the centre of its eye box, before a ball that hides a part of a wall."""
     folder = tmp_path_factory.mktemp("compare")
     options = RasterOptions(headset, scene_file, viewpoint_offset_mm=(3.0, -2.0, 1.0), out=folder)
     return run(options), folder
 
 
-def rows_by_method(table):
+def rows_by_method(table: ReportTable) -> dict[str, dict[str, float | str]]:
     return {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
 
 
-def test_each_method_of_rasterising_has_its_figures(comparison):
+def test_each_method_of_rasterising_has_its_figures(comparison: tuple[Report, Path]) -> None:
     rows = rows_by_method(comparison[0].tables[0])
     plain, double, mesh = rows["raster + warp"], rows["twice the raster resolution"], rows["map from the mesh"]
     assert 0 < plain["median (arcmin)"] < 0.01
@@ -41,7 +47,7 @@ def test_each_method_of_rasterising_has_its_figures(comparison):
     assert paper["colour difference (8 bit)"] != mesh["colour difference (8 bit)"]
 
 
-def test_the_error_map_and_the_frames_are_what_the_table_summarises(comparison):
+def test_the_error_map_and_the_frames_are_what_the_table_summarises(comparison: tuple[Report, Path]) -> None:
     report, folder = comparison
     pictures = {"raster.png", "raytrace.png", "error.tiff", "compare.png"}
     assert {path.name for path in folder.iterdir()} == pictures | {"raster.html", "raster.md", "raster.json"}
@@ -62,8 +68,8 @@ def test_the_error_map_and_the_frames_are_what_the_table_summarises(comparison):
 
 
 def test_without_optics_both_eyes_and_all_methods_show_the_same_points(
-    gl_context, straight_device, scene_file, tmp_path
-):
+    gl_context: GlContext, straight_device: str, scene_file: str, tmp_path: Path
+) -> None:
     report = run(RasterOptions(straight_device, scene_file, eye="both", out=tmp_path))
     assert len(report.tables) == 2
     for table in report.tables:

@@ -1,7 +1,11 @@
 """Samples of functions in closed form, for regressors."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
+from benchmarks.rivals.numeric_regressor import NumericRegressor
 from benchmarks.rivals.samples import Samples
 from wlr_render.calibration.readings import FitReadings
 from wlr_render.geometry.directions import ARCMIN
@@ -26,7 +30,14 @@ def readings_of(
     return Samples(readings, position)
 
 
-def samples_of(function, place, readings=150, noise=0.0, blocks=1, seed=1):
+def samples_of(
+    function: Callable[..., Any],
+    place: FloatArray,
+    readings: int = 150,
+    noise: float = 0.0,
+    blocks: int = 1,
+    seed: int = 1,
+) -> Samples:
     """Samples of a function of (u, v, place) at k places (k, variables), pixels in 0..1; noise in arcminutes.
 
     `function` gives 2 outputs for each block; a second one is seen through one of two inverse depths.
@@ -42,13 +53,15 @@ def samples_of(function, place, readings=150, noise=0.0, blocks=1, seed=1):
     return readings_of(inputs, position, noisy, multiplier, noise)
 
 
-def grid_of_places(count=5, size=0.005):
+def grid_of_places(count: int = 5, size: float = 0.005) -> FloatArray:
     """Places (count * count, 2) within +-size metres."""
     steps = np.linspace(-size, size, count)
     return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
 
 
-def error_arcmin(model, function, variables=4, size=0.005):
+def error_arcmin(
+    model: NumericRegressor, function: Callable[..., Any], variables: int = 4, size: float = 0.005
+) -> float:
     """Rms error per axis over all outputs at pixels and places that were not read."""
     rng = np.random.default_rng(2)
     place = rng.uniform(-size, size, (500, variables - 2))

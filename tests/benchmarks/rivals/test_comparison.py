@@ -1,6 +1,7 @@
 """Comparison of methods on a small experiment: tables, standard errors, a refusal; and the noise of pixels."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.report.blocks import Report
 
 NAMES = ("planar", "linear-table-planar", "spaam")
 TITLES = (
@@ -26,7 +29,7 @@ BOX = (10.0, 8.0, 6.0)
 
 
 @pytest.fixture
-def small(monkeypatch):
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two conditions and two numbers of camera positions."""
     monkeypatch.setattr(methods_module, "CONDITIONS", {"exact": {}, "0.25 px": {"camera_noise_arcmin": 0.25}})
     monkeypatch.setattr(methods_module, "_NOISY", "0.25 px")
@@ -35,16 +38,16 @@ def small(monkeypatch):
 
 
 @pytest.fixture
-def in_process(monkeypatch):
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Trials run in this process, where a test has changed the methods."""
     monkeypatch.setattr(trials, "as_finished", in_this_process)
 
 
-def compared(out, names):
+def compared(out: Path, names: tuple[str, ...]) -> Report:
     return study.run(study.RivalsOptions(("birdbath28",), methods=names, repeats=2, workers=1, seed=3, out=out))
 
 
-def captures(view_dir):
+def captures(view_dir: FloatArray) -> DisplayCaptures:
     """Of one pixel, seen in directions (n, 3)."""
     return DisplayCaptures(
         device="toy",
@@ -60,7 +63,7 @@ def captures(view_dir):
 
 
 @pytest.mark.slow
-def test_tables_of_methods(small, in_process, tmp_path):
+def test_tables_of_methods(small: None, in_process: None, tmp_path: Path) -> None:
     first = compared(tmp_path, NAMES)
     assert [table.title for table in first.tables] == [
         "Conditions",
@@ -94,7 +97,7 @@ def test_tables_of_methods(small, in_process, tmp_path):
     assert "birdbath28 (right), 0.25 px: planar is best with" in first.verdict
 
 
-def test_an_unknown_method_is_refused(tmp_path):
+def test_an_unknown_method_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         BadInputError, match="--methods has spam; did you mean spaam\\? Choose all, or from planar, "
     ) as refused:
@@ -102,7 +105,7 @@ def test_an_unknown_method_is_refused(tmp_path):
     assert "\n" not in str(refused.value)
 
 
-def test_noise_of_pixels_is_smaller_off_axis_and_smallest_along_the_radius():
+def test_noise_of_pixels_is_smaller_off_axis_and_smallest_along_the_radius() -> None:
     """A pixel of a pinhole camera covers cos across and cos^2 along the radius of what it does in the middle."""
     angle = np.radians(40.0)
     tangents = np.tan(angle) * np.array([[np.cos(0.3), np.sin(0.3)]])
@@ -119,7 +122,7 @@ def test_noise_of_pixels_is_smaller_off_axis_and_smallest_along_the_radius():
     assert with_pixel_noise(exact, 0.0, np.random.default_rng(1)) is exact
 
 
-def test_outliers_are_8_pixels_at_the_share_that_is_asked_for():
+def test_outliers_are_8_pixels_at_the_share_that_is_asked_for() -> None:
     clean = MethodTrial("birdbath28", "", None, 9, BOX)
     data, wrong = (_data(replace(clean, outliers=share), 3) for share in (0.0, 0.1))
     for eyes in ("planar", "volumetric"):

@@ -13,9 +13,12 @@ from benchmarks.rivals.method_trials import _bench_of, _drawn, with_pixel_noise
 from benchmarks.rivals.methods import METHODS, STRUCTURES, MethodData
 from benchmarks.trials import EvaluatedEye, capture_setup
 from wlr_render.captures.correspondences import Captures
-from wlr_render.evaluation.mapping_error import see_through_observations
+from wlr_render.evaluation.mapping_error import SeeThroughObservations, see_through_observations
 from wlr_render.evaluation.misalignment import misalignment_arcmin
+from wlr_render.mappings import Eye
+from wlr_render.optics.device import EyeOptics
 from wlr_render.simulation import viewpoints
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 AT = EvaluatedEye("birdbath28", "right", (10.0, 8.0, 6.0))
@@ -35,18 +38,18 @@ ONE_OF_EACH_KIND = [
 
 
 @pytest.fixture(autouse=True)
-def _small_budgets(monkeypatch):
+def _small_budgets(monkeypatch: pytest.MonkeyPatch) -> None:
     ticks = itertools.count()
     monkeypatch.setattr(time, "process_time", lambda: 0.03 * next(ticks))
     monkeypatch.setattr(networks, "_DECODER_ITERATIONS", 10)
 
 
-def _coarse_bench(optics):
+def _coarse_bench(optics: EyeOptics) -> CaptureSetup:
     return replace(_bench_of(AT, optics), grid=GRID)
 
 
 @cache
-def captured():
+def captured() -> tuple[MethodData, Eye, SeeThroughObservations]:
     """Captures from 16 positions, the headset, and real points that are seen from positions off the plane."""
     setup, rng = replace(capture_setup(AT), grid=GRID), np.random.default_rng(1)
     eyes = []
@@ -66,7 +69,7 @@ def captured():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ONE_OF_EACH_KIND)
-def test_a_method_gives_finite_answers(name):
+def test_a_method_gives_finite_answers(name: str) -> None:
     data, truth, seen = captured()
     rival = METHODS[name].fit(data)
     assert rival.numbers > 0

@@ -1,14 +1,19 @@
 """SPAAM, DRC and INDICA on headsets that are what they assume."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from rival_headsets import EYE_BOX, IN_VOLUME, display_captures, see_through_captures
 from scipy.spatial.transform import Rotation
 
 from benchmarks.rivals.pinhole import direct_plane, indica_full, indica_recycle, spaam
+from benchmarks.rivals.pinhole_models import PinholeDisplay
 from wlr_render.captures.correspondences import Captures, select
 from wlr_render.geometry.directions import arcmin_between, normalised
 from wlr_render.mappings import Status
+from wlr_render.numerics.arrays import FloatArray
 
 EXACT = 1e-6  # arcminutes
 RNG = np.random.default_rng(5)
@@ -18,27 +23,27 @@ POINT = np.column_stack([VIEWPOINT[:, :2] + RNG.uniform(-0.1, 0.1, (40, 2)), RNG
 TURN = Rotation.from_rotvec([0.03, -0.05, 0.1]).as_matrix()
 
 
-def screen(inverse_depth, shear=0.0):
+def screen(inverse_depth: float, shear: float = 0.0) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """Direction of (pixel, viewpoint): a rectangular screen, sheared if asked, about 1 / inverse_depth away."""
 
-    def direction(pixel, viewpoint):
+    def direction(pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
         u, v = (pixel - [480.0, 410.0]).T
         on_screen = np.stack([6e-4 * u, -7e-4 * v + shear * 6e-4 * u, np.full(len(u), -1.0)], axis=1) @ TURN.T
-        return on_screen - inverse_depth * (viewpoint - EYE_BOX.centre)
+        return np.asarray(on_screen - inverse_depth * (viewpoint - EYE_BOX.centre))
 
     return direction
 
 
-def seen_error(model, direction_of):
+def seen_error(model: PinholeDisplay, direction_of: Callable[..., Any]) -> float:
     """Arcminutes between a display's directions and the true ones, at other viewpoints and pixels."""
     found = model.view_dir_of_pixel(PIXEL, VIEWPOINT).value
-    return arcmin_between(found, normalised(direction_of(PIXEL, VIEWPOINT))).max()
+    return float(arcmin_between(found, normalised(direction_of(PIXEL, VIEWPOINT))).max())
 
 
-def eye_at(offset):
+def eye_at(offset: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """Tangents of (point, viewpoint): straight lines to an eye beside the viewpoint."""
 
-    def tangents(point, viewpoint):
+    def tangents(point: FloatArray, viewpoint: FloatArray) -> FloatArray:
         to_point = point - (viewpoint + offset)
         return to_point[:, :2] / -to_point[:, 2:]
 
@@ -47,7 +52,7 @@ def eye_at(offset):
 
 @pytest.mark.parametrize("inverse_depth", [1.4, 0.0, -0.8])
 @pytest.mark.parametrize("fit", [direct_plane, indica_full])
-def test_a_flat_image_is_recovered_also_at_and_beyond_infinity(fit, inverse_depth):
+def test_a_flat_image_is_recovered_also_at_and_beyond_infinity(fit: Callable[..., Any], inverse_depth: float) -> None:
     truth = screen(inverse_depth)
     model = fit(display_captures(IN_VOLUME[:5], truth))
     assert seen_error(model, truth) < EXACT
@@ -56,11 +61,11 @@ def test_a_flat_image_is_recovered_also_at_and_beyond_infinity(fit, inverse_dept
     assert np.all(back.status == Status.OK)
 
 
-def spaam_captures(positions, offset, inverse_depth=1.4):
+def spaam_captures(positions: FloatArray, offset: FloatArray, inverse_depth: float = 1.4) -> Captures:
     return Captures(display_captures(positions, screen(inverse_depth)), see_through_captures(positions, eye_at(offset)))
 
 
-def test_spaam_is_one_projection_for_all_viewpoints():
+def test_spaam_is_one_projection_for_all_viewpoints() -> None:
     """The optics shift the eye by 4 mm: the projection has its centre there, and no viewpoint moves it."""
     offset, nominal = np.array([4e-3, -2e-3, 1e-3]), EYE_BOX.centre[None]
     captures = spaam_captures(nominal, offset)
@@ -77,7 +82,7 @@ def test_spaam_is_one_projection_for_all_viewpoints():
     np.testing.assert_allclose(np.cross(POINT - ray[:, :3], ray[:, 3:]), 0.0, atol=1e-9)
 
 
-def test_recycled_spaam_follows_the_eye_when_the_screen_lies_across_its_axis():
+def test_recycled_spaam_follows_the_eye_when_the_screen_lies_across_its_axis() -> None:
     captures = spaam_captures(np.concatenate([EYE_BOX.centre[None], IN_VOLUME[:4]]), np.zeros(3))
     assert seen_error(spaam(captures)[0], screen(1.4)) > 10.0
     assert seen_error(indica_recycle(captures), screen(1.4)) < EXACT

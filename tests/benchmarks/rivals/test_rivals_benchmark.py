@@ -1,9 +1,13 @@
 """Held-out errors and their intervals, tables along a line, and the benchmark on the published sets."""
 
 import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
+from present import present
 
 from benchmarks.__main__ import main
 from benchmarks.rivals import alignments, reliefs
@@ -15,11 +19,12 @@ from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
+from wlr_render.numerics.arrays import FloatArray
 
 PANEL = Panel(400, 300)
 
 
-def test_intervals_hold_the_scatter_of_whole_captures():
+def test_intervals_hold_the_scatter_of_whole_captures() -> None:
     rng = np.random.default_rng(2)
     group = np.repeat(np.arange(12), 50)
     # Each capture is off by its own amount: rows of one capture are no independent draws.
@@ -27,7 +32,7 @@ def test_intervals_hold_the_scatter_of_whole_captures():
     found = HeldOut("one", np.abs(offset + rng.normal(0, 0.1, 600)), group)
     half = HeldOut("other", 0.5 * found.error, group)
     rms, interval, _, own, _ = cells(found, found)
-    low, high = (float(word) for word in interval.split(" to "))
+    low, high = (float(word) for word in present(interval).split(" to "))
     assert rms == pytest.approx(rms_of(found))
     assert own is None
     assert low < 0.8 * rms < 1.2 * rms < high  # a bootstrap over rows has a tenth of this width
@@ -36,10 +41,10 @@ def test_intervals_hold_the_scatter_of_whole_captures():
     assert over_interval == "0.5 to 0.5"  # drawn together: what captures share cancels
 
 
-def test_a_method_that_refuses_or_lacks_answers_says_so():
+def test_a_method_that_refuses_or_lacks_answers_says_so() -> None:
     group = np.repeat([0, 1], 5)
 
-    def refuse(each):
+    def refuse(each: object) -> NoReturn:
         raise BadInputError("two positions are too few.")
 
     reference = HeldOut("reference", np.ones(10), group)
@@ -50,7 +55,7 @@ def test_a_method_that_refuses_or_lacks_answers_says_so():
     assert rms_of(silent) == np.inf
 
 
-def swimming(positions, curved=0.0):
+def swimming(positions: FloatArray, curved: float = 0.0) -> DisplayCaptures:
     """A display whose directions change linearly along a line of viewpoints, or are curved there."""
     pixel = np.tile(PANEL.grid(12, 10).reshape(-1, 2), (len(positions), 1))
     viewpoint = np.repeat(positions, 120, axis=0)
@@ -72,7 +77,7 @@ def swimming(positions, curved=0.0):
     )
 
 
-def test_a_table_along_a_line_is_linear_also_beyond_its_ends():
+def test_a_table_along_a_line_is_linear_also_beyond_its_ends() -> None:
     direction = np.array([0.1, 0.2, 1.0])
     place = np.array([-0.004, 0.0, 0.003])[:, None] * direction
     model, _ = fit_structure(DISPLAY, swimming(place), "volumetric", line_table)
@@ -85,7 +90,7 @@ def test_a_table_along_a_line_is_linear_also_beyond_its_ends():
     assert np.abs(missed).max() > 1e-4
 
 
-def test_a_folder_without_any_set_is_refused(tmp_path, capsys):
+def test_a_folder_without_any_set_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["rivals", "--measured", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert "holds none of itoh_hmd_calibration/dataset" in capsys.readouterr().err
     assert main(["rivals", "--measured", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
@@ -94,12 +99,14 @@ def test_a_folder_without_any_set_is_refused(tmp_path, capsys):
     assert "--sets is used with --measured only" in capsys.readouterr().err
 
 
-def tables(folder, name, tmp_path):
+def tables(folder: Path, name: str, tmp_path: Path) -> list[dict[str, Any]]:
     assert main(["rivals", "--measured", str(folder.parent), "--sets", name, "--out", str(tmp_path)]) == 0
     return json.loads((tmp_path / "rivals.json").read_text())["tables"]
 
 
-def test_a_plane_fitted_to_other_sittings_beats_an_old_calibration(measured_data, tmp_path, monkeypatch):
+def test_a_plane_fitted_to_other_sittings_beats_an_old_calibration(
+    measured_data: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(alignments, "DISPLAYS", {"plane (DRC)": DISPLAYS["plane (DRC)"]})
     errors, noise = tables(measured_data("itoh_hmd_calibration"), "alignments", tmp_path)
     rms = {row["method"]: row["rms (arcmin)"] for row in errors["rows"]}
@@ -107,7 +114,9 @@ def test_a_plane_fitted_to_other_sittings_beats_an_old_calibration(measured_data
     assert scatter < rms["plane (DRC), fitted to the other sittings"] < 0.6 * rms["SPAAM of another sitting"]
 
 
-def test_a_point_for_each_pixel_carries_over_to_another_eye_relief(measured_data, tmp_path, monkeypatch):
+def test_a_point_for_each_pixel_carries_over_to_another_eye_relief(
+    measured_data: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     names = ("plane (DRC)", "ours: point-per-pixel")
     monkeypatch.setattr(reliefs, "DISPLAYS", {name: DISPLAYS[name] for name in names})
     (table,) = tables(measured_data("osvr_hdk13"), "reliefs", tmp_path)

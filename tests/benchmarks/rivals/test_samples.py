@@ -5,7 +5,7 @@ import pytest
 from rival_headsets import EYE_BOX, IN_PLANE, IN_VOLUME, PANEL, PIXELS, display_captures, see_through_captures
 from rival_samples import grid_of_places, samples_of
 
-from benchmarks.rivals.samples import fit_structure
+from benchmarks.rivals.samples import Samples, fit_structure
 from wlr_render.calibration.fit_display import DISPLAY
 from wlr_render.calibration.fit_see_through import SEE_THROUGH
 from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
@@ -14,6 +14,7 @@ from wlr_render.models import model_place
 from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.inverse import backward_start_of
 from wlr_render.models.see_through_model import SeeThroughModel
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
 
 EXACT = 1e-6  # arcminutes
@@ -29,13 +30,13 @@ TANGENT_BOX = ([-1.0, -1.0], [1.0, 1.0])
 PLACES = {"planar": PLANE, "volumetric": model_place.VIEWPOINT, "static": model_place.NOWHERE}
 
 
-def seen_box(places, last):
+def seen_box(places: int, last: bool) -> Box:
     low, high = (np.array(each[:places]) for each in PLACE_BOX)
     parts = [PIXEL_BOX, (low, high)] if last else [(low, high), TANGENT_BOX]
     return Box(*(np.concatenate([part[end] for part in parts]) for end in (0, 1)))
 
 
-def display_of(structure):
+def display_of(structure: str) -> DisplayModel:
     """A display of the structure whose regressor is a quadratic."""
     box = seen_box(PLACES[structure].coordinates, last=True)
     orders = total_degree(len(box.low), 2)
@@ -48,7 +49,7 @@ def display_of(structure):
     return DisplayModel(PANEL, EYE_BOX, PLACES[structure], forward, start)
 
 
-def see_through_of(structure):
+def see_through_of(structure: str) -> SeeThroughModel:
     """A see-through model of the structure whose regressor is a quadratic."""
     box = seen_box(PLACES[structure].coordinates, last=False)
     orders = total_degree(len(box.low), 2)
@@ -56,17 +57,17 @@ def see_through_of(structure):
     return SeeThroughModel(EYE_BOX, PLACES[structure], deviation)
 
 
-def quadratic(samples):
+def quadratic(samples: Samples) -> Polynomial:
     return samples.polynomial(2)
 
 
-def two_blocks(inputs):
+def two_blocks(inputs: FloatArray) -> FloatArray:
     """A and B, (n, 4): cubic."""
     u, v, x, y = (inputs / [1.0, 1.0, 0.005, 0.005]).T
     return np.column_stack([u * v + 0.1 * x, v**2 - 0.1 * y * u, 0.3 + 0.05 * x * y, 0.2 * u * v * x])
 
 
-def test_the_least_squares_polynomial_of_two_blocks_is_the_truth():
+def test_the_least_squares_polynomial_of_two_blocks_is_the_truth() -> None:
     samples = samples_of(two_blocks, grid_of_places(), 30, blocks=2)
     inputs = RNG.uniform([0, 0, -0.005, -0.005], [1, 1, 0.005, 0.005], (50, 4))
     np.testing.assert_allclose(samples.polynomial(3)(inputs), two_blocks(inputs), atol=1e-10)
@@ -74,7 +75,7 @@ def test_the_least_squares_polynomial_of_two_blocks_is_the_truth():
 
 
 @pytest.mark.parametrize("structure", POSITIONS)
-def test_a_display_whose_truth_is_the_regressor_is_recovered(structure):
+def test_a_display_whose_truth_is_the_regressor_is_recovered(structure: str) -> None:
     truth = display_of(structure)
     captures = display_captures(
         POSITIONS[structure], lambda pixel, viewpoint: truth.view_dir_of_pixel(pixel, viewpoint).value
@@ -88,7 +89,7 @@ def test_a_display_whose_truth_is_the_regressor_is_recovered(structure):
 
 
 @pytest.mark.parametrize("structure", POSITIONS)
-def test_a_see_through_model_whose_truth_is_the_regressor_is_recovered(structure):
+def test_a_see_through_model_whose_truth_is_the_regressor_is_recovered(structure: str) -> None:
     truth = see_through_of(structure)
     captures = see_through_captures(
         POSITIONS[structure],
@@ -103,7 +104,7 @@ def test_a_see_through_model_whose_truth_is_the_regressor_is_recovered(structure
     np.testing.assert_allclose(*rays, atol=1e-10)
 
 
-def test_a_static_model_of_a_display_with_pupil_swim_is_that_of_the_position_nearest_to_the_centre():
+def test_a_static_model_of_a_display_with_pupil_swim_is_that_of_the_position_nearest_to_the_centre() -> None:
     truth = display_of("volumetric")
     captures = display_captures(
         IN_VOLUME, lambda pixel, viewpoint: truth.view_dir_of_pixel(pixel, viewpoint).value, PIXELS

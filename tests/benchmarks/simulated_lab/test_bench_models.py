@@ -8,7 +8,7 @@ from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.simulation.photographs.camera import SimulatedLens
 
 
-def test_a_lens_with_its_centre_elsewhere_sees_the_world_turned():
+def test_a_lens_with_its_centre_elsewhere_sees_the_world_turned() -> None:
     true = LensCamera((1600, 1200), np.full(2, 1110.0), np.array([800.0, 600.0]))
     found = LensCamera((1600, 1200), np.full(2, 1110.0), np.array([795.0, 600.0]))
     # A centre that is 5 px further left sees each pixel further right: directions turn about y, by 5 / 1110 at the

@@ -1,5 +1,6 @@
 """The benchmark of simulated benches: errors over sigmas, which sentences name a fault, tables."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from benchmarks.simulated_lab.bench_trial import BenchOutcome, BenchTrial, Bench
 _EXCHANGED = BenchTrial(BenchTrialKind.BARE_EXCHANGED, 0)
 
 
-def test_errors_drawn_from_a_covariance_are_one_sigma_and_a_wrong_covariance_shows():
+def test_errors_drawn_from_a_covariance_are_one_sigma_and_a_wrong_covariance_shows() -> None:
     rng = np.random.default_rng(1)
     root = rng.normal(size=(400, 400)) * np.geomspace(1.0, 1e-2, 400)[:, None]
     error = root @ rng.normal(size=400)
@@ -33,14 +34,16 @@ def test_errors_drawn_from_a_covariance_are_one_sigma_and_a_wrong_covariance_sho
         (["the readings of a and b look exchanged", "the stage is loose"], True, False),
     ],
 )
-def test_a_fault_is_named_where_the_sentences_have_all_its_words(sentences, named, alone):
+def test_a_fault_is_named_where_the_sentences_have_all_its_words(
+    sentences: Sequence[str], named: bool, alone: bool
+) -> None:
     said = [FailedCheck("step", "quantity", sentence) for sentence in sentences]
     outcome = bench_trial._judged(BenchOutcome(_EXCHANGED), said, (("a ",), ("b ",)))
     assert outcome.named == named
     assert (outcome.named and outcome.first) == alone
 
 
-def test_tables_count_sessions_and_take_the_rms_over_them():
+def test_tables_count_sessions_and_take_the_rms_over_them() -> None:
     clean = [
         BenchOutcome(BenchTrial(BenchTrialKind.CLEAN, number), sigmas={"shape": SquaredErrors(square, 1.0)})
         for number, square in enumerate((1.0, 7.0))

@@ -1,9 +1,10 @@
 """Registration of a small simulated session: the target drawn over itself, both photographed, and compared."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
-from small_photo_session import in_this_process
+from small_photo_session import SmallSession, in_this_process
 
 from benchmarks.simulated_lab import registration_photographs
 from benchmarks.simulated_lab.lab_options import SimulatedLabOptions
@@ -16,7 +17,7 @@ DEPTH_M = 0.6
 
 
 @pytest.fixture
-def options(photo_session, tmp_path, monkeypatch):
+def options(photo_session: SmallSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedLabOptions:
     monkeypatch.setattr(registration_photographs, "as_finished", in_this_process)
     return SimulatedLabOptions(
         part=("registration",),
@@ -28,7 +29,7 @@ def options(photo_session, tmp_path, monkeypatch):
     )
 
 
-def test_drawn_dots_cover_real_ones(options):
+def test_drawn_dots_cover_real_ones(options: SimulatedLabOptions) -> None:
     """The models fit to 0.2 arcminutes, the camera's pose is known to 0.4, and one display pixel is nearly 7.
 
     Dots that the panel's edge cuts are found off their places, by arcminutes; hence medians.

@@ -4,19 +4,20 @@ import pytest
 from benchmarks.simulated_lab import exact_views
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, inverse, rigid, rotate, rotation_about
+from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay
 
 CAMERA = LensCamera((640, 480), np.array([700.0, 690.0]), np.array([322.0, 236.0]), np.array([-0.1, 0.02, 1e-3, 0, 0]))
-POSE = rigid(OPENXR_FROM_OPENCV @ rotation_about("x", 0.05), [0.001, -0.002, 0.001])
+POSE = rigid(OPENXR_FROM_OPENCV @ rotation_about("x", 0.05), np.array([0.001, -0.002, 0.001]))
 
 
-def optics(name):
+def optics(name: str) -> EyeOptics:
     return load_device(name).eyes["right"]
 
 
 @pytest.mark.parametrize("lead", [(), (1,), (3, 1, 2)])
-def test_without_optics_a_camera_sees_straight(lead):
+def test_without_optics_a_camera_sees_straight(lead: tuple[int, ...]) -> None:
     rng = np.random.default_rng(3)
     point = np.concatenate([rng.uniform(-0.1, 0.1, (*lead, 2)), rng.uniform(-0.6, -0.5, (*lead, 1))], axis=-1)
     pixel = exact_views.pixel_of_real_point(optics("no_optics"), CAMERA, POSE, point)
@@ -31,7 +32,7 @@ def test_without_optics_a_camera_sees_straight(lead):
 
 
 @pytest.mark.parametrize("name", ["flat_mirror", "freeform40"])
-def test_panel_positions_are_the_inverse_of_view_directions(name):
+def test_panel_positions_are_the_inverse_of_view_directions(name: str) -> None:
     position = optics(name).panel.pixels.grid(5, 4)
     view_dir = TracedDisplay(optics(name), 0.55).view_dir_of_pixel(position, POSE[:3, 3]).value
     pixel = CAMERA.pixel_of_point(rotate(inverse(POSE), view_dir))

@@ -10,7 +10,7 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 
 
-def test_a_dot_is_whole_where_its_rim_is_on_the_panel():
+def test_a_dot_is_whole_where_its_rim_is_on_the_panel() -> None:
     models = traced_eye(load_device("no_optics"), "right")
     viewpoint = models.eye_box.centre
     edges = models.display.panel.size_px * [[0.5, 0.5], [0.0, 0.5], [1.0, 0.5]]
@@ -34,7 +34,7 @@ def test_a_dot_is_whole_where_its_rim_is_on_the_panel():
     assert np.any(whole[centre_row] != centre_seen[centre_row])  # some dots are cut
 
 
-def test_the_target_is_drawn_in_the_shape_that_calibration_found():
+def test_the_target_is_drawn_in_the_shape_that_calibration_found() -> None:
     board = design_board(9, 7, 0.02)
     index = board.indices()
     nominal = board.point_of(index)

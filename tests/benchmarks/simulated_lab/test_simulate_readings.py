@@ -1,18 +1,21 @@
 """Simulated readings: what photographs of the same bench show, with the stated noise; and a camera in the hand."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from present import present
 from small_photo_session import CoarseView
 
 from benchmarks.simulated_lab.exact_views import panel_position, pixel_of_point, pixel_of_real_point
-from benchmarks.simulated_lab.simulate_readings import simulate_readings
+from benchmarks.simulated_lab.simulate_readings import SimulatedReadings, simulate_readings
 from wlr_render.captures.decoded import sample
 from wlr_render.captures.photo_session_checks import check_session
 from wlr_render.captures.photographs import read_each, read_photograph
 from wlr_render.geometry import transforms
 from wlr_render.io.toml_files import Table
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs import take_photographs
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_camera_poses
@@ -24,15 +27,15 @@ RECIPE = SimulationRecipe("birdbath28", viewpoints=4, bench=PhotoBenchOptions(ca
 
 
 @pytest.fixture(scope="module")
-def simulated():
+def simulated() -> SimulatedReadings:
     return simulate_readings(RECIPE)
 
 
-def rms(values):
+def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def test_readings_scatter_by_their_noise_about_the_true_projections(simulated):
+def test_readings_scatter_by_their_noise_about_the_true_projections(simulated: SimulatedReadings) -> None:
     truth, session = simulated.truth, simulated.session
     for each, camera, target in zip(session.bare, truth.bare, truth.bare_targets, strict=True):
         seen = simulated.reading.boards[each.path]
@@ -52,7 +55,9 @@ def test_readings_scatter_by_their_noise_about_the_true_projections(simulated):
 
 
 @pytest.mark.slow  # renders 50 photographs
-def test_photographs_of_the_same_bench_show_the_same(simulated, tmp_path, monkeypatch):
+def test_photographs_of_the_same_bench_show_the_same(
+    simulated: SimulatedReadings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(take_photographs, "CameraView", CoarseView)
     truth = simulated.truth
     plan = plan_photographs(truth.bench, RECIPE.viewpoints)
@@ -60,7 +65,7 @@ def test_photographs_of_the_same_bench_show_the_same(simulated, tmp_path, monkey
     of_photographs = simulate_readings(RECIPE, folder=tmp_path)
     session = of_photographs.session
     wanted = {session.folder / name for name in ("see_through/pose1_02.png", "bare/pose0_07.png")}
-    wanted |= {session.tracking[1].path, session.tracking_camera.intrinsics[4]}
+    wanted |= {session.tracking[1].path, present(session.tracking_camera).intrinsics[4]}
     for pose in camera_poses(session, truth.bench, plan, visits):
         boards = [each for each in pose.boards if each.path in wanted]
         panels = [each for each in pose.panels if each.folder == session.display[1].folder]
@@ -83,17 +88,18 @@ def test_photographs_of_the_same_bench_show_the_same(simulated, tmp_path, monkey
     assert np.median(np.abs(off)) < 0.05
 
 
-def test_the_session_states_the_readings_and_the_extrinsics_with_their_errors(simulated):
+def test_the_session_states_the_readings_and_the_extrinsics_with_their_errors(simulated: SimulatedReadings) -> None:
     session, truth = simulated.session, simulated.truth
+    assert session.device_from_tracking is not None
     assert np.array_equal(session.device_from_tracking, truth.bench.stated_device_from_tracking)
     assert not np.allclose(session.device_from_tracking, truth.bench.device_from_tracking, atol=1e-5)
     assert session.tracking_sigma == pytest.approx((np.deg2rad(0.05), 0.3e-3))
     repeated = session.see_through[0], session.see_through[RECIPE.viewpoints]
-    assert 0 < np.abs(repeated[0].stage - repeated[1].stage).max() < 5e-6
-    assert np.array_equal(session.display[0].stage, session.see_through[0].stage)
+    assert 0 < np.abs(present(repeated[0].stage) - present(repeated[1].stage)).max() < 5e-6
+    assert np.array_equal(present(session.display[0].stage), present(session.see_through[0].stage))
 
 
-def test_a_camera_in_the_hand_sees_the_target_past_the_optics():
+def test_a_camera_in_the_hand_sees_the_target_past_the_optics() -> None:
     bench = replace(RECIPE.bench, stage="hand", target_depths_m=(0.3, 0.5))
     simulated = simulate_readings(replace(RECIPE, bench=bench))
     session, truth = simulated.session, simulated.truth
@@ -116,7 +122,7 @@ def test_a_camera_in_the_hand_sees_the_target_past_the_optics():
         assert np.isnan(pixel_of_real_point(truth.bench.optics, lens, camera, point)).any(axis=-1).mean() > 0.95
 
 
-def test_pixels_of_a_workshop_lens_see_the_points_that_they_show():
+def test_pixels_of_a_workshop_lens_see_the_points_that_they_show() -> None:
     """Its residual distortion and moving pupil: rays of the pixels, by the renderer's lens, meet the points."""
     bench = SimulationRecipe("birdbath28", bench=PhotoBenchOptions(family="workshop")).build()
     point = transforms.apply(

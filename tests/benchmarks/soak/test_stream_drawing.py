@@ -1,13 +1,19 @@
 import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from streamed import BOX, RATE_HZ, fixations, recorded
 
 from benchmarks.soak import study
+from benchmarks.soak.records import Stream
+from benchmarks.soak.study import SoakOptions
 from benchmarks.soak.wearer import Wearer
 from wlr_render.errors import MissingGlError
-from wlr_render.mappings import QueryResult, Status
+from wlr_render.mappings import Eye, Panel, QueryResult, Status
+from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -17,10 +23,10 @@ class FailsLeftWhenFarRight:
     whole: object
 
     @property
-    def panel(self):
+    def panel(self) -> Panel:
         return self.whole.panel
 
-    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: None = None) -> QueryResult:
         assert warm_start is None or np.isfinite(warm_start).all()
         good = self.whole.view_dir_of_pixel(pixel, viewpoint)
         x_mm = 1e3 * (np.asarray(viewpoint)[..., 0] - BOX.centre[0])
@@ -29,14 +35,14 @@ class FailsLeftWhenFarRight:
         return QueryResult(np.where(failed[..., None], np.nan, good.value), status)
 
 
-def options(scene_file, wearer, frames, **others):
-    wears = {"head": wearer.head, "eye_track": wearer.eyes, "seed": wearer.seed}
+def options(scene_file: str, wearer: Wearer, frames: int, **others: Any) -> SoakOptions:
+    wears: dict[str, Any] = {"head": wearer.head, "eye_track": wearer.eyes, "seed": wearer.seed}
     return study.SoakOptions(
         "headset", scene_file, **wears, frames=frames, frames_per_second=RATE_HZ, size=(56, 40), **others
     )
 
 
-def streamed(chosen, models):
+def streamed(chosen: SoakOptions, models: Mapping[str, Eye]) -> Stream:
     try:
         return study.draw(chosen, models)
     except MissingGlError as error:
@@ -44,7 +50,9 @@ def streamed(chosen, models):
 
 
 @pytest.mark.gl
-def test_after_a_jump_the_frames_own_map_is_right_and_the_one_before_is_not(flat_image_headset, scene_file, tmp_path):
+def test_after_a_jump_the_frames_own_map_is_right_and_the_one_before_is_not(
+    flat_image_headset: Eye, scene_file: str, tmp_path: Path
+) -> None:
     wearer = recorded(tmp_path / "eyes.txt", fixations([-3, 0, 1], [3, 2, -1], [0, -3, 0]))
     stream = streamed(options(scene_file, wearer, 12), {"right": flat_image_headset})
     jumped = [check for check in stream.checks if check.moved_mm > 1.0]
@@ -58,8 +66,8 @@ def test_after_a_jump_the_frames_own_map_is_right_and_the_one_before_is_not(flat
 
 @pytest.mark.gl
 def test_points_that_fail_are_named_with_time_and_eye_and_are_whole_again_next_frame(
-    flat_image_headset, scene_file, tmp_path
-):
+    flat_image_headset: Eye, scene_file: str, tmp_path: Path
+) -> None:
     failing = dataclasses.replace(flat_image_headset, display=FailsLeftWhenFarRight(flat_image_headset.display))
     wearer = recorded(tmp_path / "eyes.txt", fixations([0, 0, 0], [3, 0, 0], [0, 0, 0], each=3))
     stream = streamed(options(scene_file, wearer, 9), {"right": failing})
@@ -73,7 +81,7 @@ def test_points_that_fail_are_named_with_time_and_eye_and_are_whole_again_next_f
     assert all(not frame.unsolved["right"] for k, frame in enumerate(stream.frames) if k not in (3, 4, 5))
 
 
-def test_both_eyes_of_a_late_head_are_drawn_and_each_is_noted(straight_device, scene_file):
+def test_both_eyes_of_a_late_head_are_drawn_and_each_is_noted(straight_device: str, scene_file: str) -> None:
     models = {eye: study.open_eye(straight_device, eye) for eye in ("left", "right")}
     stream = study.draw(options(scene_file, Wearer(), 4, late_ms=20.0), models)
     assert stream.eyes == ("left", "right")

@@ -1,5 +1,8 @@
 import csv
 import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,20 +10,22 @@ from PIL import Image
 
 from benchmarks.soak import report, study
 from benchmarks.soak.records import Cost, EyeMoment, FrameNote, Stream, StreamFrame
+from wlr_render.gl.context import GlContext
+from wlr_render.report.blocks import ReportTable
 from wlr_render.tracking.viewpoint_filter import TrackingState
 from wlr_render.work.progress import Progress
 
 
 class Heard(Progress):
-    def __init__(self, given):
+    def __init__(self, given: Sequence[object]) -> None:
         self.given = given
 
-    def __call__(self, items, total, label):
+    def __call__(self, items: Iterator[Any], total: int, label: str) -> Iterator[Any]:
         self.given.append((total, label))
         yield from items
 
 
-def stream_of(frame_ms):
+def stream_of(frame_ms: Sequence[float]) -> Stream:
     """One eye at rest; frames take so long, a quarter of it for drawing, and are 10 ms apart."""
     eye = EyeMoment(np.zeros(3), TrackingState.TRACKED, 0.0, brought_back=False)
     frames = []
@@ -30,12 +35,12 @@ def stream_of(frame_ms):
     return Stream(frames, (), 100.0, 0.0, "nobody", (5, 4))
 
 
-def table(stream, title):
+def table(stream: Stream, title: str) -> tuple[dict[str, dict[str, float | str]], ReportTable]:
     (found,) = (each for each in report.tables_of(stream) if title in each.title)
     return {row[0]: dict(zip(found.columns, row, strict=True)) for row in found.rows}, found
 
 
-def test_percentiles_are_of_all_frames_but_the_first():
+def test_percentiles_are_of_all_frames_but_the_first() -> None:
     stream = stream_of([1e6, *range(101)])
     rows, found = table(stream, "frames of 5 x 4")
     whole = rows["whole frame (ms)"]
@@ -45,7 +50,9 @@ def test_percentiles_are_of_all_frames_but_the_first():
 
 
 @pytest.mark.slow
-def test_a_run_leaves_tables_a_row_of_each_frame_and_a_picture(gl_context, straight_device, scene_file, tmp_path):
+def test_a_run_leaves_tables_a_row_of_each_frame_and_a_picture(
+    gl_context: GlContext, straight_device: str, scene_file: str, tmp_path: Path
+) -> None:
     out, given = tmp_path / "out", []
     options = study.SoakOptions(straight_device, scene_file, eye="both", frames=6, size=(32, 18), out=out)
     found = study.run(options, progress=Heard(given))

@@ -1,5 +1,8 @@
 """Baselines that do the same work as ours."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,17 +13,19 @@ from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.errors import MissingGlError
 from wlr_render.gl import gl
+from wlr_render.mappings import Eye
+from wlr_render.scene.scene import Scene
 from wlr_render.warp.raster_camera import EyePlan
 from wlr_render.warp.ray_map import choose_plan, ray_map
-from wlr_render.warp.view import View
+from wlr_render.warp.view import GeometryImage, View
 
 
 @pytest.fixture(scope="module")
-def scene():
+def scene() -> Scene:
     return bench_scene()
 
 
-def test_raw_embree_finds_what_our_tracer_finds(scene, small_panel_model):
+def test_raw_embree_finds_what_our_tracer_finds(scene: Scene, small_panel_model: Eye) -> None:
     field = ray_map(small_panel_model, small_panel_model.eye_box.centre, choose_plan(small_panel_model))
     origin, direction = field.world_rays(HEAD_POSE)
     shares = raw_embree(scene, origin, direction)()
@@ -36,7 +41,7 @@ def test_raw_embree_finds_what_our_tracer_finds(scene, small_panel_model):
 
 
 @pytest.fixture(scope="module")
-def ours(scene, small_panel_model):
+def ours(scene: Scene, small_panel_model: Eye) -> tuple[View, GeometryImage]:
     """Our picture from a view at the display's size, and that view."""
     try:
         context = gl.open_context("egl")
@@ -53,7 +58,9 @@ def ours(scene, small_panel_model):
 @pytest.mark.gl
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("make", [bare_gl_frame, shaded_gl_frame])
-def test_bare_opengl_frames_draw_our_silhouette_where_the_map_leads(scene, ours, make, mirrored):
+def test_bare_opengl_frames_draw_our_silhouette_where_the_map_leads(
+    scene: Scene, ours: tuple[View, GeometryImage], make: Callable[..., Any], mirrored: bool
+) -> None:
     view, picture = ours
     shown = picture.inverse_depth > 0
     assert 0.1 < shown.mean() < 0.9

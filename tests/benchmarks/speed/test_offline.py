@@ -4,19 +4,23 @@ import numpy as np
 import pytest
 
 from benchmarks.speed import offline
-from wlr_render.warp.ray_map import NEAREST_M, ray_map
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.ray_map import NEAREST_M, RayMap, RayMapPlan, ray_map
 
 
-def test_the_fast_map_is_exact_to_a_fiftieth_of_a_pixel(small_panel_model):
+def test_the_fast_map_is_exact_to_a_fiftieth_of_a_pixel(small_panel_model: Eye) -> None:
     viewpoint = small_panel_model.eye_box.at(np.array([0.9, 0.9, -0.9]))
     assert 0 < offline.map_error_px(small_panel_model, viewpoint) < 0.02
 
 
 @pytest.mark.parametrize("component", [0, 3])
-def test_the_maps_error_is_that_of_its_worst_pixel(small_panel_model, monkeypatch, component):
+def test_the_maps_error_is_that_of_its_worst_pixel(
+    small_panel_model: Eye, monkeypatch: pytest.MonkeyPatch, component: int
+) -> None:
     """One pixel is moved by a third of a pixel, at infinity by its tangent or at 0.25 m by its offset."""
 
-    def with_a_fault(mappings, viewpoint, plan):
+    def with_a_fault(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan) -> RayMap:
         field = ray_map(mappings, viewpoint, plan)
         a, b = field.slope_offset[0, 40, 30:32], field.slope_offset[1, 40:42, 30]
         pixel_size = min(abs(np.diff(a)[0]), abs(np.diff(b)[0]))

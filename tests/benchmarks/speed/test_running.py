@@ -5,17 +5,20 @@ import pytest
 from speed_work import needs_gl, small_work
 
 from benchmarks.speed.running import LATE_S, TURN_DEG_PER_S, WALK_M_PER_S, Running, later_pose
+from wlr_render.mappings import Eye
 from wlr_render.warp.gl_ray_maps import GlPlanarSolver
 
 
-def test_a_later_pose_is_as_late_as_its_speeds_say():
+def test_a_later_pose_is_as_late_as_its_speeds_say() -> None:
     pose = later_pose(np.eye(4))
     assert np.rad2deg(np.arccos((np.trace(pose[:3, :3]) - 1) / 2)) == pytest.approx(TURN_DEG_PER_S * LATE_S)
     assert np.linalg.norm(pose[:3, 3]) == pytest.approx(WALK_M_PER_S * LATE_S)
 
 
 @pytest.mark.gl
-def test_a_second_frame_in_a_round_is_the_same_without_its_solve(small_panel_model, monkeypatch):
+def test_a_second_frame_in_a_round_is_the_same_without_its_solve(
+    small_panel_model: Eye, monkeypatch: pytest.MonkeyPatch
+) -> None:
     needs_gl()
     solved = []
     solve = GlPlanarSolver.solve

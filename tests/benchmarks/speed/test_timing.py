@@ -6,7 +6,7 @@ import pytest
 from benchmarks.speed.timing import ROUNDS, Estimate, alternately, ratio
 
 
-def test_runs_are_timed_in_turn_and_the_first_round_is_dropped():
+def test_runs_are_timed_in_turn_and_the_first_round_is_dropped() -> None:
     calls = []
     first, second = alternately(lambda turn: calls.append(("a", turn)), lambda turn: calls.append(("b", turn)))
     assert calls[:4] == [("a", 0), ("b", 0), ("a", 1), ("b", 1)]
@@ -14,7 +14,7 @@ def test_runs_are_timed_in_turn_and_the_first_round_is_dropped():
     assert min(first, second) >= 0
 
 
-def test_a_ratio_is_taken_round_by_round_and_one_interruption_does_not_count():
+def test_a_ratio_is_taken_round_by_round_and_one_interruption_does_not_count() -> None:
     second = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
     found = ratio(second * [1.3, 1.3, 1.3, 1.3, 9.0], second)
     assert found == Estimate(pytest.approx(1.3), pytest.approx(0, abs=1e-12))

@@ -1,14 +1,19 @@
 """CPU cost of a frame: what is counted, and what a clean host is promised."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from fitted_eyes import fitted_eye
+from present import narrowed
 
 from benchmarks.submission import study
 from benchmarks.submission.gl_calls import is_get
 from benchmarks.submission.measure import WAYS, measure
-from wlr_render.mappings import Panel
+from wlr_render.gl.context import GlContext
+from wlr_render.mappings import Eye, Panel
+from wlr_render.report.blocks import ReportTable
 
 pytestmark = [pytest.mark.gl, pytest.mark.usefixtures("choices_made_once")]
 
@@ -16,19 +21,19 @@ SIZE = 60, 50
 
 
 @pytest.fixture(scope="module")
-def models():
+def models() -> dict[str, Eye]:
     eye = fitted_eye("northstar", 3)
     return {"left": replace(eye, eye="left"), "right": eye}
 
 
 @pytest.fixture
-def egl(gl_context):
+def egl(gl_context: GlContext) -> None:
     if gl_context.backend != "egl":
         pytest.skip("EGL does not open here.")
 
 
 @pytest.mark.slow
-def test_a_clean_host_has_no_gets_and_few_calls(egl, models):
+def test_a_clean_host_has_no_gets_and_few_calls(egl: None, models: Mapping[str, Eye]) -> None:
     clean = measure(models, SIZE, "clean", 2)
     assert {name: count for name, count in clean.by_name.items() if is_get(name)} == {}
     assert 20 < clean.calls <= 150
@@ -40,13 +45,14 @@ def test_a_clean_host_has_no_gets_and_few_calls(egl, models):
 
 
 @pytest.mark.slow
-def test_the_report_has_a_row_for_each_way(egl, models, tmp_path):
+def test_the_report_has_a_row_for_each_way(egl: None, models: Mapping[str, Eye], tmp_path: Path) -> None:
     small = {eye: replace(each, display=replace(each.display, panel=Panel(*SIZE))) for eye, each in models.items()}
     report = study.run(study.SubmissionOptions(frames=2, out=tmp_path), models=small)
     costs, functions = report.blocks
+    assert isinstance(costs, ReportTable)
     assert [row[0] for row in costs.rows] == list(WAYS.values())
     assert all(len(row) == len(costs.columns) for row in costs.rows)
-    totals = [sum(row[1:]) for row in functions.rows]
+    totals = [sum(row[1:]) for row in narrowed(functions, ReportTable).rows]
     assert totals == sorted(totals, reverse=True)
     assert totals[-1] > 0
     assert (tmp_path / "submission.md").exists()

@@ -4,11 +4,13 @@ The stage's errors are sines over the travel with random phases, the board is be
 off its place, the lens has terms that the fit may not have, and noise has outliers.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wlr_render.calibration.bench.adjustment import adjust
+from wlr_render.calibration.bench.adjustment import Adjustment, adjust
 from wlr_render.calibration.bench.board_views import (
     EYEBALL,
     TRACKING,
@@ -19,11 +21,16 @@ from wlr_render.calibration.bench.board_views import (
     KnownPose,
 )
 from wlr_render.calibration.bench.start import start_lens, start_state
+from wlr_render.calibration.bench.state import BenchState
 from wlr_render.calibration.poses import small_motion
 from wlr_render.captures.boards.board import USUAL_TOLERANCES
 from wlr_render.captures.photo_session import StageDescription
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.numerics.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from calibration.bench.test_smooth_errors import RippledLens
 
 PITCH_M, COLUMNS, ROWS = 0.016, 26, 20
 
@@ -55,7 +62,7 @@ class Imperfections:
 PERFECT = Imperfections(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0.02, 0, "brown")
 
 
-def turned(x_deg, y_deg, z_deg):
+def turned(x_deg: float, y_deg: float, z_deg: float) -> FloatArray:
     x, y, z = np.radians([x_deg, y_deg, z_deg])
     return transforms.rotation_about("x", x) @ transforms.rotation_about("y", y) @ transforms.rotation_about("z", z)
 
@@ -69,7 +76,7 @@ class TrueBench:
     stage: bool = True
     stage_axes: int = 3
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         rng = self.rng = np.random.default_rng([self.seed, 5])
         self.hand = np.random.default_rng([self.seed, 6])
         size = self.size
@@ -101,32 +108,40 @@ class TrueBench:
         self.point[:, 2] += height
         self.point += size.dot_m * rng.normal(size=self.point.shape) * [1, 1, 0.3]
         opencv = transforms.OPENXR_FROM_OPENCV
-        self.device_from_tracking = transforms.rigid(turned(-12, 3, 0) @ opencv, [0.005, 0.03, -0.06])
+        self.device_from_tracking = transforms.rigid(turned(-12, 3, 0) @ opencv, np.array([0.005, 0.03, -0.06]))
         error = rng.normal(size=6) * np.repeat([size.extrinsics_rad, size.extrinsics_m], 3)
         self.stated_tracking = self.device_from_tracking @ small_motion(-error)
         self.targets = {
-            0: transforms.rigid(turned(4, -6, 1) @ opencv, [0.02, 0.01, -0.4]),
-            1: transforms.rigid(turned(-5, 7, 2) @ opencv, [0.03, 0.0, -1.0]),
+            0: transforms.rigid(turned(4, -6, 1) @ opencv, np.array([0.02, 0.01, -0.4])),
+            1: transforms.rigid(turned(-5, 7, 2) @ opencv, np.array([0.03, 0.0, -1.0])),
         }
-        self.base = transforms.rigid(turned(1, 2, -0.5) @ opencv, [0.031, 0.002, 0.018])
+        self.base = transforms.rigid(turned(1, 2, -0.5) @ opencv, np.array([0.031, 0.002, 0.018]))
         skew = np.eye(3) + size.skew_rad * rng.normal(size=(3, 3))
         self.axes = turned(0.2, -0.1, 0.3) @ np.diag([1.001, 0.9995, 1.0]) @ skew
         self.phase = rng.uniform(0, 2 * np.pi, (3, 6))
         self.side = rng.normal(size=(3, 6))
 
-    def smooth(self, reading):
+    def smooth(self, reading: FloatArray) -> FloatArray:
         """(6,) error of the carriage at a reading: half a wave over the travel of 16 mm."""
         wave = np.sin(np.pi * reading[:, None] / 0.016 + self.phase) - np.sin(self.phase)
         size = np.repeat([self.size.turn_rad, self.size.straightness_m], 3)
-        return np.sum(wave * self.side, axis=0) * size / np.sqrt(3 * 0.5)
+        return np.asarray(np.sum(wave * self.side, axis=0) * size / np.sqrt(3 * 0.5))
 
-    def camera_at(self, reading):
+    def camera_at(self, reading: FloatArray) -> FloatArray:
         """(4, 4) of one visit to a reading (3,)."""
         random = self.rng.normal(size=6) * np.repeat([self.size.turn_jitter_rad, self.size.repeatability_m], 3)
         moved = transforms.rigid(np.eye(3), self.axes @ reading)
         return self.base @ moved @ small_motion(self.smooth(reading) + random)
 
-    def view(self, name, camera, camera_from_board, target=None, place=None, every=1):
+    def view(
+        self,
+        name: str,
+        camera: str,
+        camera_from_board: FloatArray,
+        target: int | None = None,
+        place: str | None = None,
+        every: int = 1,
+    ) -> BoardView:
         lens = self.lens[camera]
         pixel = lens.pixel_of_point(transforms.apply(camera_from_board, self.point))
         with np.errstate(invalid="ignore"):
@@ -139,14 +154,16 @@ class TrueBench:
         sigma = np.full(count, 0.02)
         return BoardView(name, camera, self.feature[inside], self.nominal[inside], pixel + noise, sigma, target, place)
 
-    def hand_held(self, pixel, lens):
+    def hand_held(self, pixel: FloatArray, lens: "LensCamera | RippledLens") -> FloatArray:
         """(n, 2) displacements: the focus hunts, and the hand moves evenly and then faster while rows are read."""
         rng, size = self.hand, np.array(lens.size_px)
         time = pixel[:, 1:] / size[1] - 0.5
         speed, faster = self.size.hand_px * rng.normal(size=(2, 2)) * [[1.0], [0.5]]
-        return self.size.focus_hunt * rng.normal() * (pixel - lens.centre_px) + time * speed + time**2 * faster
+        return np.asarray(
+            self.size.focus_hunt * rng.normal() * (pixel - lens.centre_px) + time * speed + time**2 * faster
+        )
 
-    def carried(self, motions, reading):
+    def carried(self, motions: Sequence[Callable[..., Any]], reading: FloatArray) -> FloatArray:
         """(4, 4) of one visit to a reading (m,), by a stage of other axes.
 
         Args:
@@ -161,7 +178,7 @@ class TrueBench:
         travel[: len(reading)] = np.clip(reading, -0.008, 0.008)
         return pose @ small_motion(self.smooth(travel) + random)
 
-    def lens_views(self, camera, count=9, distance=0.55):
+    def lens_views(self, camera: str, count: int = 9, distance: float = 0.55) -> list[BoardView]:
         angles = np.arange(count - 1) * 2 * np.pi / (count - 1)
         tilts = [(0.0, 0.0)] + [(28 * np.cos(a), 28 * np.sin(a)) for a in angles]
         return [
@@ -169,17 +186,18 @@ class TrueBench:
                 f"lens/{camera}/{i:02d}.png",
                 camera,
                 transforms.rigid(
-                    turned(x, y, 40 * i), [0.02 * np.cos(2 * i), 0.02 * np.sin(3 * i), distance * (1 + 0.3 * (i % 3))]
+                    turned(x, y, 40 * i),
+                    np.array([0.02 * np.cos(2 * i), 0.02 * np.sin(3 * i), distance * (1 + 0.3 * (i % 3))]),
                 ),
             )
             for i, (x, y) in enumerate(tilts)
         ]
 
-    def readings(self):
+    def readings(self) -> FloatArray:
         steps = [(x, y, 0) for x in (-1, 0, 1) for y in (-1, 0, 1)] + [(0, 0, -1), (0, 0, 1)]
         return 0.008 * np.array(steps, dtype=float)
 
-    def observations(self, lens_photographs=14, tracked=(0, 1)):
+    def observations(self, lens_photographs: int = 14, tracked: tuple[int, ...] = (0, 1)) -> BenchObservations:
         """The classic bench: lens photographs of both cameras, stage at two target poses, tracking before and after."""
         views = [*self.lens_views(EYEBALL, lens_photographs), *self.lens_views(TRACKING, lens_photographs, 0.6)]
         places, self.true_places = {}, {}
@@ -209,13 +227,13 @@ class TrueBench:
         )
 
 
-def thinned(observations, every=8):
+def thinned(observations: BenchObservations, every: int = 8) -> BenchObservations:
     """Fewer features, so that tests are quick."""
     views = [view.only((view.feature @ [1, 2]) % every == 0) for view in observations.views]
     return replace(observations, views=views)
 
 
-def start_of(observations):
+def start_of(observations: BenchObservations) -> BenchState:
     lens = {}
     for name, setup in observations.cameras.items():
         views = [view for view in observations.views if view.camera == name and view.target is None]
@@ -223,5 +241,5 @@ def start_of(observations):
     return start_state(observations, lens)
 
 
-def adjusted(observations):
+def adjusted(observations: BenchObservations) -> Adjustment:
     return adjust(start_of(observations))

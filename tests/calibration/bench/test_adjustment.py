@@ -1,24 +1,28 @@
 """The joint adjustment on benches with imperfections that its model does not contain: sigmas, faults, lenses."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from calibration.bench.imperfect_bench import PERFECT, Imperfections, TrueBench, adjusted, start_of, thinned
+from present import present
 
+from wlr_render.calibration.bench.adjustment import Adjustment
 from wlr_render.calibration.bench.bench_checks import bench_checks, prior_pulls, reading_pulls, significance
-from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations
+from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations, BoardView
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
 from wlr_render.calibration.bench.faults import adjust_without_faults
 from wlr_render.calibration.bench.lenses import sound_views
-from wlr_render.calibration.poses import motion_between, small_motion
+from wlr_render.calibration.poses import Pose, motion_between, small_motion
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
 
 SEEDS = range(5)
 
 
 @pytest.fixture(scope="module")
-def solved():
+def solved() -> list[tuple[TrueBench, Adjustment]]:
     """Benches with all imperfections but those of the extrinsics, which would hide the others, and what was found."""
     found = []
     for seed in SEEDS:
@@ -27,15 +31,15 @@ def solved():
     return found
 
 
-def over_sigma(true, pose):
+def over_sigma(true: FloatArray, pose: Pose) -> FloatArray:
     return motion_between(pose.b_from_a, true) / np.sqrt(np.diag(pose.covariance))
 
 
-def rms(values):
+def rms(values: Sequence[FloatArray]) -> float:
     return float(np.sqrt(np.mean(np.square(np.concatenate([np.ravel(each) for each in values])))))
 
 
-def test_errors_of_poses_are_as_large_as_their_sigmas(solved):
+def test_errors_of_poses_are_as_large_as_their_sigmas(solved: Sequence[tuple[TrueBench, Adjustment]]) -> None:
     targets = [over_sigma(bench.targets[k], found.target_pose(k)) for bench, found in solved for k in bench.targets]
     places = [
         over_sigma(bench.true_places[place], found.camera_pose(place))
@@ -55,7 +59,9 @@ def test_errors_of_poses_are_as_large_as_their_sigmas(solved):
     assert 0.6 < rms(lenses) < 1.6
 
 
-def test_the_motion_between_two_visits_lacks_the_errors_that_both_share(solved):
+def test_the_motion_between_two_visits_lacks_the_errors_that_both_share(
+    solved: Sequence[tuple[TrueBench, Adjustment]],
+) -> None:
     bench, found = solved[0]
     first = next(place for place in bench.true_places if place.startswith("sweep"))
     assert not found.relative_motion(first, first)[1].any()
@@ -70,7 +76,7 @@ def test_the_motion_between_two_visits_lacks_the_errors_that_both_share(solved):
     assert np.trace(shared[3:, 3:]) == pytest.approx(2.0 * screws * found.sizes["screw"] ** 2, rel=0.01)
 
 
-def test_the_stage_is_as_good_as_it_is(solved):
+def test_the_stage_is_as_good_as_it_is(solved: Sequence[tuple[TrueBench, Adjustment]]) -> None:
     turn = np.exp(np.mean([np.log(found.sizes["turn"]) for _, found in solved]))
     shift = np.exp(np.mean([np.log(found.sizes["shift"]) for _, found in solved]))
     dots = np.mean([found.sizes.feature_m["board"] for _, found in solved])
@@ -80,7 +86,9 @@ def test_the_stage_is_as_good_as_it_is(solved):
     assert dots == pytest.approx(1e-5, rel=0.3)
 
 
-def test_a_stage_that_turns_by_ordinary_amounts_passes_all_checks(solved):
+def test_a_stage_that_turns_by_ordinary_amounts_passes_all_checks(
+    solved: Sequence[tuple[TrueBench, Adjustment]],
+) -> None:
     for bench, found in solved:
         failed = [check.sentence for check in bench_checks(found, []) if not check.ok]
         assert not failed, bench.seed
@@ -88,7 +96,7 @@ def test_a_stage_that_turns_by_ordinary_amounts_passes_all_checks(solved):
 
 
 @pytest.mark.slow
-def test_a_perfect_bench_is_found_to_the_noise_of_its_dots():
+def test_a_perfect_bench_is_found_to_the_noise_of_its_dots() -> None:
     bench = TrueBench(7, PERFECT)
     found = adjusted(thinned(bench.observations(lens_photographs=6)))
     assert found.sizes["turn"] < 3e-6
@@ -97,17 +105,19 @@ def test_a_perfect_bench_is_found_to_the_noise_of_its_dots():
         assert np.all(np.abs(over_sigma(true, found.target_pose(k))) < 4.0)
 
 
-def test_stated_extrinsics_that_are_wrong_are_in_the_sigma_of_every_pose():
+def test_stated_extrinsics_that_are_wrong_are_in_the_sigma_of_every_pose() -> None:
     bench = TrueBench(3)
     observations = thinned(bench.observations(lens_photographs=6))
     found = adjusted(observations)
     sigma = found.target_pose(0).sigma_arcmin
     assert np.all(sigma > 0.9 * np.degrees(bench.size.extrinsics_rad) * 60)
-    exact = replace(observations, device_from_tracking=replace(observations.device_from_tracking, sigma=(0.0, 0.0)))
+    exact = replace(
+        observations, device_from_tracking=replace(present(observations.device_from_tracking), sigma=(0.0, 0.0))
+    )
     assert np.all(adjusted(exact).target_pose(0).sigma_arcmin < 0.2 * sigma)
 
 
-def test_photographs_by_hand_tell_how_much_they_are_stretched():
+def test_photographs_by_hand_tell_how_much_they_are_stretched() -> None:
     hand = replace(Imperfections(), focus_hunt=1e-3, hand_px=0.6)
     errors, sizes = [], []
     for seed in range(8):
@@ -125,7 +135,7 @@ def test_photographs_by_hand_tell_how_much_they_are_stretched():
     assert 0.6 < rms(errors) < 1.5
 
 
-def test_exchanged_readings_are_named():
+def test_exchanged_readings_are_named() -> None:
     bench = TrueBench(4)
     observations = thinned(bench.observations(lens_photographs=6))
     places = dict(observations.places)
@@ -137,7 +147,7 @@ def test_exchanged_readings_are_named():
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
-def test_a_target_that_moved_is_named(when):
+def test_a_target_that_moved_is_named(when: str) -> None:
     motion = small_motion(np.array([0.0, 0.0, 1e-3, 3e-4, 0.0, 0.0]))
     whole = TrueBench(5)
     observations = thinned(whole.observations(lens_photographs=6))
@@ -159,7 +169,7 @@ def test_a_target_that_moved_is_named(when):
     assert when == "after" or any("the target moved at pose 0" in sentence for sentence in sentences)
 
 
-def test_the_kind_of_lens_is_chosen_by_photographs_that_were_left_out():
+def test_the_kind_of_lens_is_chosen_by_photographs_that_were_left_out() -> None:
     bench = TrueBench(6)
     strong = replace(
         bench.lens[EYEBALL],
@@ -174,7 +184,7 @@ def test_the_kind_of_lens_is_chosen_by_photographs_that_were_left_out():
     assert found.tried["rational"] < 0.7 * found.tried["brown"]
 
 
-def test_more_terms_of_a_lens_never_predict_much_worse_than_fewer():
+def test_more_terms_of_a_lens_never_predict_much_worse_than_fewer() -> None:
     """A fit of all terms at once ends in a local minimum here: eight terms miss by more than five."""
     bench, rng = TrueBench(79, PERFECT), np.random.default_rng(79)
     terms = np.array([-0.2296, 0.5613, -2e-4, -1e-4, 1.43, -0.0444, 0.4438, 1.468])
@@ -182,7 +192,7 @@ def test_more_terms_of_a_lens_never_predict_much_worse_than_fewer():
     bench.lens[EYEBALL] = true
     wave, phase = rng.normal(0.0, 3.0, (2, 2, 3)), rng.uniform(0.0, 6.28, (2, 3))
 
-    def with_residual(view):
+    def with_residual(view: BoardView) -> BoardView:
         unit = (view.pixel - 0.5 * np.array(true.size_px)) / (0.5 * np.hypot(*true.size_px))
         waves = [np.cos(unit @ wave[axis] + phase[axis]).sum(axis=1) for axis in (0, 1)]
         return replace(view, pixel=view.pixel + 0.3 * np.stack(waves, axis=1))
@@ -195,7 +205,7 @@ def test_more_terms_of_a_lens_never_predict_much_worse_than_fewer():
     assert found.tried["rational"] < 1.02 * found.tried["brown"]
 
 
-def test_photographs_of_another_board_are_rejected_by_name():
+def test_photographs_of_another_board_are_rejected_by_name() -> None:
     bench = TrueBench(8)
     observations = thinned(bench.observations(lens_photographs=6))
     views = [view for view in observations.views if view.camera == EYEBALL]
@@ -205,13 +215,13 @@ def test_photographs_of_another_board_are_rejected_by_name():
 
 
 @pytest.mark.parametrize("near_views", [2, 9])
-def test_errors_of_the_print_are_lengths_and_show_on_a_near_board(near_views):
+def test_errors_of_the_print_are_lengths_and_show_on_a_near_board(near_views: int) -> None:
     observations = thinned(TrueBench(8, PERFECT).observations(lens_photographs=6))
     views = [view for view in observations.views if view.camera == EYEBALL]
     near = [view.name for view in views if view.target == 0][:near_views]
     views = [view for view in views if view.target != 0 or view.name in near]
 
-    def printed(view):
+    def printed(view: BoardView) -> BoardView:
         wave_m = 1.2e-4 * np.stack([np.sin(2.0 * view.feature[:, 0]), np.cos(2.0 * view.feature[:, 1])], axis=1)
         wave_m = wave_m * (10.0 if view.name == near[1] else 1.0)  # misread: no print does this in one photograph
         point = view.point + np.column_stack([wave_m, np.zeros(len(wave_m))])
@@ -221,32 +231,32 @@ def test_errors_of_the_print_are_lengths_and_show_on_a_near_board(near_views):
     assert list(found.rejected) == [near[1]]
 
 
-def test_a_target_that_nothing_places_is_refused():
+def test_a_target_that_nothing_places_is_refused() -> None:
     bench = TrueBench(9)
     observations = thinned(bench.observations(lens_photographs=5, tracked=()))
     with pytest.raises(BadInputError, match="nothing places"):
         start_of(observations)
 
 
-def test_an_axis_that_is_read_but_never_moved_is_refused():
+def test_an_axis_that_is_read_but_never_moved_is_refused() -> None:
     bench = TrueBench(10)
     observations = thinned(bench.observations(lens_photographs=5))
     still = [
         view
         for view in observations.views
-        if not view.name.startswith("bare") or abs(observations.places[view.name].reading[1]) < 1e-4
+        if not view.name.startswith("bare") or abs(present(observations.places[view.name].reading)[1]) < 1e-4
     ]
     with pytest.raises(BadInputError, match="read along axis 2"):
         start_of(replace(observations, views=still))
 
 
-def test_significance_is_that_of_one_normal_variable():
+def test_significance_is_that_of_one_normal_variable() -> None:
     assert significance(9.0, 1) == pytest.approx(3.0)
     assert significance(6.0, 6) == pytest.approx(0.8, abs=0.1)
     assert 40 < significance(2500.0, 6) < 60
 
 
-def test_a_search_without_an_end_contradicts_the_bench(solved):
+def test_a_search_without_an_end_contradicts_the_bench(solved: Sequence[tuple[TrueBench, Adjustment]]) -> None:
     """Two targets of the tracking camera exchanged half way: no bench fits, and the search says that it found none."""
     sound = thinned(TrueBench(3).observations(lens_photographs=6))
     exchanged = ("tracking/pose0_after.png", "tracking/pose1_after.png")

@@ -1,5 +1,6 @@
 """The state of a bench: its derivatives against finite differences, and the motions of stages against closed forms."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,19 +8,20 @@ import pytest
 from calibration.bench.imperfect_bench import Imperfections, TrueBench, turned
 
 from wlr_render.calibration.bench.bench_blocks import EXACT, FEATURES, SMOOTH_DEGREE, Layout, lens_block
-from wlr_render.calibration.bench.board_views import EYEBALL, CameraSetup
+from wlr_render.calibration.bench.board_views import EYEBALL, BoardView, CameraSetup
 from wlr_render.calibration.bench.normal_equations import residuals_of
 from wlr_render.calibration.bench.start import start_lens, start_state
-from wlr_render.calibration.bench.state import StageModel
+from wlr_render.calibration.bench.state import BenchState, StageModel
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LENS_KINDS, LensCamera
 from wlr_render.geometry.residual_lens import ResidualLens
+from wlr_render.numerics.arrays import FloatArray
 
 
 @pytest.fixture(scope="module")
-def state():
+def state() -> BenchState:
     bench = TrueBench(1)
     observations = bench.observations(lens_photographs=5)
     rotary = (StageAxis(), StageAxis("rotary"), StageAxis())
@@ -48,7 +50,7 @@ def state():
     return replace(found, observations=observations).with_values(values)
 
 
-def test_derivatives_of_all_unknowns_are_those_of_finite_differences(state):
+def test_derivatives_of_all_unknowns_are_those_of_finite_differences(state: BenchState) -> None:
     layout = Layout.of(state.blocks)
     rng = np.random.default_rng(3)
     views = [
@@ -65,7 +67,12 @@ def test_derivatives_of_all_unknowns_are_those_of_finite_differences(state):
             if key[0] == "lens":
                 direction[:4] *= 100.0
 
-            def residual(amount, key=key, direction=direction, view=view):
+            def residual(
+                amount: float,
+                key: tuple[str, int | str] = key,
+                direction: FloatArray = direction,
+                view: BoardView = view,
+            ) -> FloatArray:
                 still = layout.steps(np.zeros(len(layout.size)))
                 still |= {(FEATURES, name): np.zeros(shape.place.size) for name, shape in state.shape.items()}
                 return residuals_of(state.moved(still | {key: amount * direction}), view).residual
@@ -82,7 +89,7 @@ def test_derivatives_of_all_unknowns_are_those_of_finite_differences(state):
             np.testing.assert_allclose(derivative @ direction, expected, atol=atol, err_msg=str(key))
 
 
-def test_a_stretched_image_is_larger_about_its_middle(state):
+def test_a_stretched_image_is_larger_about_its_middle(state: BenchState) -> None:
     view = next(view for view in state.observations.views if view.name in state.of("stretch"))
     part = residuals_of(state, view)
     unstretched = {key: block for key, block in state.blocks.items() if key[0] != "stretch"}
@@ -94,7 +101,7 @@ def test_a_stretched_image_is_larger_about_its_middle(state):
     np.testing.assert_allclose(part.columns["stretch", view.name] @ stretch, larger, atol=1e-9)
 
 
-def test_a_linear_axis_translates_and_a_rotary_one_turns_about_its_pivot():
+def test_a_linear_axis_translates_and_a_rotary_one_turns_about_its_pivot() -> None:
     middle, half = np.zeros(2), np.ones(2)
     pivot = np.array([0.0, 0.0, -0.01])
     about_y = np.array([0.0, 1.0, 0.0])
@@ -107,9 +114,10 @@ def test_a_linear_axis_translates_and_a_rotary_one_turns_about_its_pivot():
     np.testing.assert_allclose(transforms.apply(turned_about_pivot, pivot), pivot, atol=1e-15)
 
 
-def test_the_camera_at_a_place_is_base_stage_and_errors(state):
+def test_the_camera_at_a_place_is_base_stage_and_errors(state: BenchState) -> None:
     place = next(name for name in state.of("offset") if name.endswith("_03.png"))
     reading = state.observations.places[place].reading
+    assert reading is not None
     offset = state.stage.smooth_error(reading) + state.of("offset")[place]
     for (_, which), along in state.screws(reading).items():
         offset = offset + along[:, 0] * state.of("screw")[which]
@@ -118,7 +126,7 @@ def test_the_camera_at_a_place_is_base_stage_and_errors(state):
     assert np.abs(motion_between(expected, state.device_from_camera(place))).max() < 1e-12
 
 
-def test_errors_of_a_visit_move_the_camera_of_a_second_mounting_as_stated(state):
+def test_errors_of_a_visit_move_the_camera_of_a_second_mounting_as_stated(state: BenchState) -> None:
     place = next(name for name in state.of("offset") if name.endswith("_03.png"))
     mount = small_motion(np.array([0.2, -1.0, 0.3, 0.01, 0.02, -0.03]))
     places = dict(state.observations.places)
@@ -135,7 +143,7 @@ def test_errors_of_a_visit_move_the_camera_of_a_second_mounting_as_stated(state)
         )
 
 
-def test_a_bent_board_is_where_its_shape_says():
+def test_a_bent_board_is_where_its_shape_says() -> None:
     bench = TrueBench(0, Imperfections())
     observations = bench.observations(lens_photographs=3)
     lens = dict(bench.lens)
@@ -149,18 +157,18 @@ def test_a_bent_board_is_where_its_shape_says():
     np.testing.assert_allclose(bent.point_of(np.array([[-5, -5]]), middle), [[0, 0, 3e-4]], atol=1e-12)
 
 
-def test_turned_is_a_rotation():
+def test_turned_is_a_rotation() -> None:
     assert transforms.is_rotation(turned(3, 4, 5))
 
 
-def test_smooth_terms_have_unit_rms_over_the_range():
+def test_smooth_terms_have_unit_rms_over_the_range() -> None:
     stage = StageModel(np.array([0.01]), np.array([0.005]), np.zeros((1, 6)), np.zeros((SMOOTH_DEGREE, 6)))
     readings = np.linspace(0.005, 0.015, 2001)
     terms = np.array([stage.smooth_terms(np.array([reading])) for reading in readings])
     np.testing.assert_allclose(np.sqrt(np.mean(terms**2, axis=0)), 1.0, rtol=5e-3)
 
 
-def test_terms_of_a_narrow_lens_may_be_large():
+def test_terms_of_a_narrow_lens_may_be_large() -> None:
     # Terms that displace the corner of a field of +-20 degrees by a tenth are up to 42 in size.
     terms = np.array([0.64, 1.96, 7e-4, -6e-4, 42.8, 0.92, 1.87, 42.8])
     lens = LensCamera((1280, 1024), np.full(2, 2200.0), np.array([640.0, 512.0]), terms, "rational")
@@ -171,7 +179,7 @@ def test_terms_of_a_narrow_lens_may_be_large():
 
 
 @pytest.mark.parametrize(("kind", "held"), [("fisheye", []), ("brown", []), ("rational", ["k4", "k5", "k6"])])
-def test_a_residual_field_replaces_the_last_terms_of_perspective_lenses_alone(kind, held):
+def test_a_residual_field_replaces_the_last_terms_of_perspective_lenses_alone(kind: str, held: Sequence[str]) -> None:
     terms = 1e-3 * np.arange(1, len(LENS_KINDS[kind]) + 1)
     lens = ResidualLens.of(LensCamera((1280, 1024), np.full(2, 900.0), np.array([640.0, 512.0]), terms, kind))
     block = lens_block(EYEBALL, lens, CameraSetup(lens.size_px, kind))

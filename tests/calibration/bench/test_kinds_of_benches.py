@@ -1,11 +1,16 @@
 """Every kind of bench is adjusted: errors of poses are as large as their sigmas, with a real bench's imperfections."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from calibration.bench.imperfect_bench import TrueBench, adjusted, thinned, turned
+from numpy.typing import ArrayLike
+from present import present
 
+from wlr_render.calibration.bench.adjustment import Adjustment
 from wlr_render.calibration.bench.board_views import (
     EYEBALL,
     TRACKING,
@@ -19,21 +24,30 @@ from wlr_render.captures.boards.board import USUAL_TOLERANCES
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.numerics.arrays import FloatArray
 
 PIVOT = np.array([1e-3, -5e-4, -0.012])
 """Of a rotary axis, camera frame: the camera's mount is not quite centred on the pupil of the eye."""
 
 
-def along(direction):
+def along(direction: FloatArray) -> Callable[..., Any]:
     return lambda reading: transforms.rigid(np.eye(3), reading * np.asarray(direction))
 
 
-def about_y(reading):
+def about_y(reading: float) -> FloatArray:
     turn = transforms.rotation_about("y", reading)
     return transforms.rigid(turn, PIVOT - turn @ PIVOT)
 
 
-def observed(bench, axes, readings, sweep, poses, orientation=lambda number: 0, **known):
+def observed(
+    bench: TrueBench,
+    axes: tuple[StageAxis, ...],
+    readings: ArrayLike | range,
+    sweep: ArrayLike,
+    poses: Callable[..., Any],
+    orientation: Callable[..., Any] = lambda number: 0,
+    **known: Any,
+) -> tuple[BenchObservations, dict[str, FloatArray]]:
     """Observations of a bench: lens photographs, targets at readings from camera poses, the tracking camera.
 
     Args:
@@ -47,7 +61,7 @@ def observed(bench, axes, readings, sweep, poses, orientation=lambda number: 0, 
     views = [*bench.lens_views(EYEBALL, 10), *bench.lens_views(TRACKING, 10, 0.6)]
     places, true = {}, {}
 
-    def visit(name, reading, mounting):
+    def visit(name: str, reading: FloatArray | int, mounting: int) -> None:
         true[name] = poses(reading) @ MOUNTS[mounting]
         stated = None
         if len(axes):
@@ -75,21 +89,21 @@ def observed(bench, axes, readings, sweep, poses, orientation=lambda number: 0, 
 SAME = np.eye(4)
 
 
-def eyeball_alone(seen):
+def eyeball_alone(seen: BenchObservations) -> BenchObservations:
     views = [view for view in seen.views if view.camera == EYEBALL]
     return replace(seen, views=views, cameras={EYEBALL: seen.cameras[EYEBALL]})
 
 
-MOUNTS = {0: np.eye(4), 1: transforms.rigid(turned(3, -2, 90), [0.001, 0.002, -0.001])}
+MOUNTS = {0: np.eye(4), 1: transforms.rigid(turned(3, -2, 90), np.array([0.001, 0.002, -0.001]))}
 
 
-def over_sigma(found, true, own):
+def over_sigma(found: Adjustment, true: Mapping[str, FloatArray], own: FloatArray) -> FloatArray:
     """(n, 6) errors of the poses of places, and of targets, over their sigmas; `own` is from the device frame."""
     poses = [(found.camera_pose(place), own @ pose) for place, pose in true.items()]
     return np.array([motion_between(p.b_from_a, t) / np.sqrt(np.diag(p.covariance)) for p, t in poses])
 
 
-def assert_true(found, bench, true, own=SAME):
+def assert_true(found: Adjustment, bench: TrueBench, true: Mapping[str, FloatArray], own: FloatArray = SAME) -> None:
     """Errors are as large as their sigmas; those of all places go together, so that few are independent."""
     places = over_sigma(found, true, own)
     targets = [
@@ -102,14 +116,14 @@ def assert_true(found, bench, true, own=SAME):
     assert np.abs(places).max() < 5.0
 
 
-def grid(axes, sweep=False):
+def grid(axes: int, sweep: bool = False) -> FloatArray:
     steps = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * axes)).reshape(axes, -1).T
     return (0.006 if sweep else 0.008) * (steps if axes < 3 else steps[np.abs(steps).sum(axis=1) < 3])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("axes", [3, 2, 1])
-def test_stages_of_three_two_and_one_linear_axes(axes):
+def test_stages_of_three_two_and_one_linear_axes(axes: int) -> None:
     bench = TrueBench(3)
     motions = [along(column) for column in bench.axes.T[:axes]]
     seen, true = observed(
@@ -119,7 +133,7 @@ def test_stages_of_three_two_and_one_linear_axes(axes):
 
 
 @pytest.mark.slow
-def test_stated_axes_are_used_where_no_photograph_shows_them_and_corrected_where_some_do():
+def test_stated_axes_are_used_where_no_photograph_shows_them_and_corrected_where_some_do() -> None:
     bench = TrueBench(4)
     direction = (bench.base[:3, :3] @ bench.axes / np.linalg.norm(bench.axes, axis=0)).T
     stated = [turned(*(0.3 * bench.rng.normal(size=3))) @ each for each in direction]
@@ -136,7 +150,7 @@ def test_stated_axes_are_used_where_no_photograph_shows_them_and_corrected_where
 
 
 @pytest.mark.slow
-def test_a_rotary_axis_about_the_pupil_beside_a_linear_one():
+def test_a_rotary_axis_about_the_pupil_beside_a_linear_one() -> None:
     bench = TrueBench(5)
     turns = np.radians([-12.0, -5.0, 0.0, 6.0, 12.0])
     readings = [np.array([shift, turn]) for shift in (-0.006, 0.0, 0.006) for turn in turns]
@@ -154,7 +168,7 @@ def test_a_rotary_axis_about_the_pupil_beside_a_linear_one():
         assert np.linalg.norm(shift - np.cross(PIVOT, [0, 1, 0])) < 2e-4
 
 
-def test_a_rotary_axis_that_no_photograph_shows_turns_about_its_stated_pivot():
+def test_a_rotary_axis_that_no_photograph_shows_turns_about_its_stated_pivot() -> None:
     bench = TrueBench(6)
     direction = bench.base[:3, :3] @ turned(0.3, 0, -0.2) @ [0.0, 1.0, 0.0]
     pivot = transforms.apply(bench.base, PIVOT + [4e-4, 0.0, -6e-4])
@@ -166,7 +180,7 @@ def test_a_rotary_axis_that_no_photograph_shows_turns_about_its_stated_pivot():
     assert_true(adjusted(seen), bench, true)
 
 
-def test_mountings_of_the_camera_share_one_stage():
+def test_mountings_of_the_camera_share_one_stage() -> None:
     bench = TrueBench(7)
     motions = [along(column) for column in bench.axes.T]
     seen, true = observed(
@@ -183,14 +197,14 @@ def test_mountings_of_the_camera_share_one_stage():
     assert np.abs(motion_between(MOUNTS[1], mount)).max() < 2e-4
 
 
-def free_places(bench, count):
+def free_places(bench: TrueBench, count: int) -> Callable[..., Any]:
     rng = np.random.default_rng(2)
     poses = [bench.base @ small_motion(rng.normal(size=6) * np.repeat([0.03, 0.004], 3)) for _ in range(count)]
     return lambda number: poses[number % count]
 
 
 @pytest.mark.parametrize("gauge", ["tracking camera", "stated targets", "fiducials"])
-def test_a_camera_in_the_hand_is_where_the_targets_beside_the_optics_say(gauge):
+def test_a_camera_in_the_hand_is_where_the_targets_beside_the_optics_say(gauge: str) -> None:
     bench, known, own = TrueBench(8), {}, np.eye(4)
     if gauge != "tracking camera":
         known["device_from_tracking"] = None
@@ -212,16 +226,16 @@ def test_a_camera_in_the_hand_is_where_the_targets_beside_the_optics_say(gauge):
         seen = replace(seen, views=views, tolerances=dict(seen.tolerances) | {"fiducials": USUAL_TOLERANCES})
     if gauge != "tracking camera":  # each place sees both targets, which ties them
         names = {f"bare/pose1_{k:02d}.png": f"bare/pose0_{k:02d}.png" for k in range(12)}
-        seen = replace(seen, views=[replace(v, place=names.get(v.place, v.place)) for v in seen.views])
+        seen = replace(seen, views=[replace(v, place=names.get(present(v.place), v.place)) for v in seen.views])
         true = {place: pose for place, pose in true.items() if place not in names}
         seen = replace(seen, places={place: seen.places[place] for place in true})
     assert_true(adjusted(seen), bench, true, own)
 
 
-def test_the_camera_itself_may_be_the_device_frame():
+def test_the_camera_itself_may_be_the_device_frame() -> None:
     bench = TrueBench(9)
     motions = [along(column) for column in bench.axes.T]
-    at = transforms.rigid(transforms.OPENXR_FROM_OPENCV, [0.03, 0.0, 0.01])
+    at = transforms.rigid(transforms.OPENXR_FROM_OPENCV, np.array([0.03, 0.0, 0.01]))
     seen, true = observed(
         bench,
         (StageAxis(),) * 3,
@@ -239,7 +253,7 @@ def test_the_camera_itself_may_be_the_device_frame():
     assert_true(found, bench, true, small_motion(-off) @ own)
 
 
-def test_what_nothing_fixes_is_named():
+def test_what_nothing_fixes_is_named() -> None:
     bench = TrueBench(10)
     seen, _ = observed(bench, (), range(4), (), free_places(bench, 4), device_from_tracking=None)
     seen = eyeball_alone(seen)

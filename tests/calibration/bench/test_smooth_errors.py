@@ -1,20 +1,27 @@
 """Smooth errors of boards and errors by reading of a stage's axes: their sizes are found, and sigmas include them."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from calibration.bench.imperfect_bench import Imperfections, TrueBench, adjusted, thinned
+from present import present
 from scipy.spatial.transform import Rotation
 
-from wlr_render.calibration.bench.board_views import TRACKING
+from wlr_render.calibration.bench.adjustment import Adjustment
+from wlr_render.calibration.bench.board_views import TRACKING, BenchObservations
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
 from wlr_render.calibration.bench.faults import worst_fault
 from wlr_render.calibration.bench.start import start_state
 from wlr_render.calibration.bench.station_file import load_station, save_station
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.numerics.arrays import FloatArray
 
 PRINT_M, HEIGHT_M, SCREW_M, PERIOD_M, RIPPLE_PX = 6e-5, 1e-4, 1e-5, 1.7e-3, 0.1
 
@@ -22,7 +29,7 @@ PRINT_M, HEIGHT_M, SCREW_M, PERIOD_M, RIPPLE_PX = 6e-5, 1e-4, 1e-5, 1.7e-3, 0.1
 class CrumpledBench(TrueBench):
     """A board with smooth printing errors and heights of another shape than a parabola."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         rng = np.random.default_rng([self.seed, 8])
         x, y = self.nominal[:, :2].T
@@ -38,28 +45,28 @@ class CrumpledBench(TrueBench):
 class ScrewBench(TrueBench):
     """A stage whose axes have a periodic error."""
 
-    def smooth(self, reading):
+    def smooth(self, reading: FloatArray) -> FloatArray:
         screw = SCREW_M * np.sin(2 * np.pi * reading / PERIOD_M + self.phase[:, 0])
-        return super().smooth(reading) + np.concatenate([np.zeros(3), self.axes @ screw])
+        return np.asarray(super().smooth(reading) + np.concatenate([np.zeros(3), self.axes @ screw]))
 
 
 class RippledLens:
     """A lens with oblique waves over its picture, which no model of few terms has."""
 
-    def __init__(self, model):
+    def __init__(self, model: LensCamera) -> None:
         self.model, self.size_px, self.kind, self.centre_px = model, model.size_px, model.kind, model.centre_px
 
-    def pixel_of_point(self, point):
+    def pixel_of_point(self, point: FloatArray) -> FloatArray:
         pixel = self.model.pixel_of_point(point)
         unit = (pixel - self.centre_px) / (0.5 * np.hypot(*self.size_px))
         waves = np.stack([unit @ [6.0, 5.0] + 1.0, unit @ [-4.0, 7.0] + 2.0], axis=-1)
-        return pixel + RIPPLE_PX * np.sqrt(2.0) * np.cos(waves)
+        return np.asarray(pixel + RIPPLE_PX * np.sqrt(2.0) * np.cos(waves))
 
 
 class RippledBench(TrueBench):
     """Lenses with waves."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         self.lens = {name: RippledLens(model) for name, model in self.lens.items()}
 
@@ -71,12 +78,12 @@ class WarmBench(TrueBench):
     visits = -1
     order = (*range(11), *range(20, 31), *range(11, 20))  # the sweep is between both targets
 
-    def camera_at(self, reading):
+    def camera_at(self, reading: FloatArray) -> FloatArray:
         self.visits += 1
         warm = 1.0 - np.exp(-self.order[self.visits] / 9.0)
         return super().camera_at(reading) @ small_motion(warm * self.turn)
 
-    def observations(self, *given, **named):
+    def observations(self, *given: object, **named: Any) -> BenchObservations:
         found = super().observations(*given, **named)
         timed = zip(found.places.items(), self.order, strict=True)
         timed = {name: replace(place, time_s=40.0 * k) for (name, place), k in timed}
@@ -84,7 +91,7 @@ class WarmBench(TrueBench):
 
 
 @pytest.fixture(scope="module")
-def crumpled():
+def crumpled() -> list[tuple[CrumpledBench, Adjustment]]:
     found = []
     for seed in range(3):
         bench = CrumpledBench(seed, replace(Imperfections(), extrinsics_rad=0.0, extrinsics_m=0.0))
@@ -92,7 +99,9 @@ def crumpled():
     return found
 
 
-def test_features_that_no_photograph_shows_are_predicted_by_those_that_it_shows(crumpled):
+def test_features_that_no_photograph_shows_are_predicted_by_those_that_it_shows(
+    crumpled: Sequence[tuple[CrumpledBench, Adjustment]],
+) -> None:
     """Three quarters of the dots are in no view; the fields are wider than the distances of the others."""
     for bench, found in crumpled:
         shape = found.state.shape["board"]
@@ -105,14 +114,16 @@ def test_features_that_no_photograph_shows_are_predicted_by_those_that_it_shows(
         assert np.sqrt(np.mean(off[:, 2] ** 2)) < 0.6 * HEIGHT_M
 
 
-def test_the_smooth_part_of_a_board_is_told_from_the_errors_of_single_features(crumpled):
+def test_the_smooth_part_of_a_board_is_told_from_the_errors_of_single_features(
+    crumpled: Sequence[tuple[CrumpledBench, Adjustment]],
+) -> None:
     dots = [found.sizes.feature_m["board"] for _, found in crumpled]
     fields = [found.sizes["print"] for _, found in crumpled]
     assert np.mean(dots) < 0.6 * PRINT_M
     assert PRINT_M / 2 < np.exp(np.mean(np.log(fields))) < PRINT_M * 2
 
 
-def pulls_of_places(bench, found):
+def pulls_of_places(bench: CrumpledBench | ScrewBench | WarmBench, found: Adjustment) -> FloatArray:
     """(places, 6) errors over sigmas, of rotation and position, of the camera at places that no view shows."""
     places = [place for place in bench.true_places if place.startswith("sweep")]
     poses = [found.camera_pose(place) for place in places]
@@ -124,16 +135,22 @@ def pulls_of_places(bench, found):
     )
 
 
-def test_errors_of_cameras_before_a_crumpled_board_are_as_large_as_their_sigmas(crumpled):
+def test_errors_of_cameras_before_a_crumpled_board_are_as_large_as_their_sigmas(
+    crumpled: Sequence[tuple[CrumpledBench, Adjustment]],
+) -> None:
     pulls = np.concatenate([pulls_of_places(bench, found) for bench, found in crumpled])
     assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.5
 
 
-def test_a_board_in_a_station_file_has_its_smooth_errors(crumpled, tmp_path):
+def test_a_board_in_a_station_file_has_its_smooth_errors(
+    crumpled: Sequence[tuple[CrumpledBench, Adjustment]], tmp_path: Path
+) -> None:
     bench, found = crumpled[0]
     path = save_station(tmp_path / "station-right.json", CalibratedBench(None, found, (), {}, (), ()))
     expected = found.state.shape["board"].point_of(bench.feature, bench.nominal)
-    np.testing.assert_allclose(load_station(path).shape.point_of(bench.feature, bench.nominal), expected, atol=2e-9)
+    np.testing.assert_allclose(
+        present(load_station(path).shape).point_of(bench.feature, bench.nominal), expected, atol=2e-9
+    )
     content = json.loads(path.read_text(encoding="utf-8"))
     content["board"]["heights"]["counts"] = [2.5, 300]
     path.write_text(json.dumps(content), encoding="utf-8")
@@ -141,7 +158,7 @@ def test_a_board_in_a_station_file_has_its_smooth_errors(crumpled, tmp_path):
         load_station(path)
 
 
-def test_errors_by_reading_are_in_the_sigmas_of_places():
+def test_errors_by_reading_are_in_the_sigmas_of_places() -> None:
     """Visits to one reading share an error, so that their mean is worse than a mean of independent errors."""
     pulls, sizes = [], []
     for seed in range(5):
@@ -156,7 +173,7 @@ def test_errors_by_reading_are_in_the_sigmas_of_places():
     assert np.exp(np.mean(np.log(sizes))) > 0.4 * SCREW_M
 
 
-def test_a_camera_that_warms_up_is_followed_where_times_are_known():
+def test_a_camera_that_warms_up_is_followed_where_times_are_known() -> None:
     pulls, off = [], []
     for seed in range(3):
         bench = WarmBench(seed, replace(Imperfections(), extrinsics_rad=0.0, extrinsics_m=0.0))
@@ -170,7 +187,7 @@ def test_a_camera_that_warms_up_is_followed_where_times_are_known():
     assert np.sqrt(np.mean(np.square(off))) < 0.2 * np.std(true, axis=0).mean()
 
 
-def test_a_session_without_times_has_no_drift():
+def test_a_session_without_times_has_no_drift() -> None:
     observations = TrueBench(1).observations(lens_photographs=3)
     few = {name: replace(place, time_s=9.0) for name, place in list(observations.places.items())[:5]}
     lens = TrueBench(1).lens
@@ -178,7 +195,7 @@ def test_a_session_without_times_has_no_drift():
         assert not start_state(replace(observations, places=places), lens).of("drift")
 
 
-def test_a_camera_of_few_photographs_has_the_noise_of_its_own():
+def test_a_camera_of_few_photographs_has_the_noise_of_its_own() -> None:
     """Only the unknowns of its photographs count."""
     noise = []
     for seed in range(4):
@@ -189,7 +206,7 @@ def test_a_camera_of_few_photographs_has_the_noise_of_its_own():
     assert np.mean(noise) == pytest.approx(1.0, abs=0.06)
 
 
-def test_what_a_lens_model_leaves_is_in_its_lens_and_no_fault():
+def test_what_a_lens_model_leaves_is_in_its_lens_and_no_fault() -> None:
     bench = RippledBench(2)
     found = adjusted(thinned(bench.observations(lens_photographs=9), 4))
     assert worst_fault(found) is None

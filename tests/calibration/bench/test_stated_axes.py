@@ -5,18 +5,21 @@ all stated directions share one error: the adjustment takes the errors of the ax
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 from scipy.linalg import block_diag
 from small_photo_session import with_stated_lenses
 
-from benchmarks.simulated_lab.simulate_readings import simulate_readings
+from benchmarks.simulated_lab.simulate_readings import SimulatedReadings, simulate_readings
 from wlr_render.calibration.bench.calibrate_bench import calibrate_bench, place_key
 from wlr_render.calibration.poses import adjoint
-from wlr_render.captures.photo_session import StageDescription
+from wlr_render.captures.photo_session import PhotoSession, StageDescription
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
@@ -25,18 +28,18 @@ FEW = ReadingOptions(most_dots=120, panel_samples=50)
 STATED_DEG = 0.2
 
 
-def simulated(seed, sampling="volumetric"):
+def simulated(seed: int, sampling: str = "volumetric") -> SimulatedReadings:
     bench = PhotoBenchOptions(camera_px=(640, 512), seed=seed, sampling=sampling, stated_axes_deg=STATED_DEG)
     made = simulate_readings(SimulationRecipe("birdbath28", viewpoints=9, bench=bench), FEW)
     return replace(made, session=with_stated_lenses(made.session))
 
 
-def with_axes(session, **changes):
-    axes = tuple(replace(axis, **changes) for axis in session.stage.axes)
+def with_axes(session: PhotoSession, **changes: Any) -> PhotoSession:
+    axes = tuple(replace(axis, **changes) for axis in present(session.stage).axes)
     return replace(session, stage=StageDescription(axes))
 
 
-def off_over_sigma(made, session):
+def off_over_sigma(made: SimulatedReadings, session: PhotoSession) -> tuple[FloatArray, FloatArray]:
     """(n, 3) errors of the camera's positions about their mean, over their sigmas; and the sigmas."""
     found = calibrate_bench(session, made.reading)
     assert all(check.ok for check in found.checks)
@@ -53,7 +56,7 @@ def off_over_sigma(made, session):
 
 
 @pytest.mark.slow
-def test_positions_are_as_wrong_as_their_sigmas_say():
+def test_positions_are_as_wrong_as_their_sigmas_say() -> None:
     ratios = []
     for seed in (1, 5, 6, 7):
         made = simulated(seed)
@@ -66,11 +69,12 @@ def test_positions_are_as_wrong_as_their_sigmas_say():
 
 
 @pytest.mark.slow
-def test_directions_stated_without_a_sigma_or_in_the_device_frame_count_as_known_to_an_ordinary_one():
+def test_directions_stated_without_a_sigma_or_in_the_device_frame_count_as_known_to_an_ordinary_one() -> None:
     made = simulated(2)
     rotation = made.truth.bench.device_from_camera[:3, :3]
     in_device = tuple(
-        replace(axis, direction=rotation @ axis.direction, is_in_camera=False) for axis in made.session.stage.axes
+        replace(axis, direction=rotation @ present(axis.direction), is_in_camera=False)
+        for axis in present(made.session.stage).axes
     )
     for session in (
         with_axes(made.session, direction_sigma=None),
@@ -82,7 +86,7 @@ def test_directions_stated_without_a_sigma_or_in_the_device_frame_count_as_known
 
 
 @pytest.mark.slow
-def test_one_photograph_without_stated_axes_is_refused_with_both_remedies():
+def test_one_photograph_without_stated_axes_is_refused_with_both_remedies() -> None:
     made = simulated(1)
     unknown = with_axes(made.session, direction=None, direction_sigma=None, is_in_camera=False)
     with pytest.raises(BadInputError, match=r"axis 1, .* at other readings .*, or state the axis' 'direction' under"):

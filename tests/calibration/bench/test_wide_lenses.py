@@ -16,7 +16,7 @@ from wlr_render.geometry.lens_camera import LensCamera
 
 @pytest.mark.slow
 @pytest.mark.parametrize("field_deg", [120, 180])
-def test_a_wide_lens_is_found_to_the_last_feature(field_deg):
+def test_a_wide_lens_is_found_to_the_last_feature(field_deg: int) -> None:
     true = WideLens(field_deg)
     views = true.views()
     alone = BenchObservations(views, {EYEBALL: CameraSetup(SIZE)}, {}, (), tolerances={"board": USUAL_TOLERANCES})
@@ -37,7 +37,7 @@ def test_a_wide_lens_is_found_to_the_last_feature(field_deg):
     assert np.quantile(off, 0.99) < 0.25
 
 
-def test_a_board_is_placed_beyond_90_degrees_off_axis():
+def test_a_board_is_placed_beyond_90_degrees_off_axis() -> None:
     lens = LensCamera(SIZE, np.full(2, 300.0), CENTRE, np.zeros(4), "fisheye")
     view = WideLens(180).views()[0]
     away = np.array([0.4, 0.0, -0.1])

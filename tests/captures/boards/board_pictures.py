@@ -3,10 +3,13 @@
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
+from wlr_render.captures.boards.board import Board
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import apply, rigid, rotation_about
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 BOARD = design_board(18, 14, 0.01)
 CAMERA = LensCamera((480, 400), np.array([520.0, 520.0]), np.array([243.0, 196.0]))
@@ -14,7 +17,13 @@ BARREL = LensCamera((480, 400), np.array([520.0, 520.0]), np.array([243.0, 196.0
 _RAYS = (np.arange(4) + 0.5) / 4
 
 
-def pose(turn_deg=0.0, tilt_deg=0.0, distance_m=0.26, shift_m=(0.0, 0.0), tilt_axis="y"):
+def pose(
+    turn_deg: float = 0.0,
+    tilt_deg: float = 0.0,
+    distance_m: float = 0.26,
+    shift_m: tuple[float, float] = (0.0, 0.0),
+    tilt_axis: str = "y",
+) -> FloatArray:
     """camera_from_board: tilted about an axis of the picture, then looked at from a distance."""
     turn = rotation_about("z", np.deg2rad(turn_deg))
     tilt = rotation_about(tilt_axis, np.deg2rad(tilt_deg))
@@ -22,7 +31,7 @@ def pose(turn_deg=0.0, tilt_deg=0.0, distance_m=0.26, shift_m=(0.0, 0.0), tilt_a
 
 
 @cache
-def _ray_tangents(camera):
+def _ray_tangents(camera: LensCamera) -> FloatArray:
     """(h * 4, w * 4, 2), from the pixels' corners."""
     width, height = camera.size_px
     corner = camera.tangents_of_pixel(np.stack(np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0)), axis=-1))
@@ -32,7 +41,9 @@ def _ray_tangents(camera):
     return (down[:, :-1, None] * (1 - _RAYS[:, None]) + down[:, 1:, None] * _RAYS[:, None]).reshape(len(down), -1, 2)
 
 
-def light_of(camera, camera_from_board, board=BOARD, surround=0.3, dot=0.05):
+def light_of(
+    camera: LensCamera, camera_from_board: FloatArray, board: Board = BOARD, surround: float = 0.3, dot: float = 0.05
+) -> FloatArray:
     """(h, w) light: white of the board is 1, dots are `dot`, everything else `surround`."""
     rotation, origin = camera_from_board[:3, :3], camera_from_board[:3, 3]
     in_board, start = _ray_tangents(camera) @ rotation[:2] + rotation[2], -origin @ rotation
@@ -41,15 +52,17 @@ def light_of(camera, camera_from_board, board=BOARD, surround=0.3, dot=0.05):
     reflectance = board.reflectance(place, softness)
     light = np.where(np.isnan(reflectance), surround, dot + (1 - dot) * reflectance)
     height, width = camera.size_px[::-1]
-    return light.reshape(height, 4, width, 4).mean(axis=(1, 3))
+    return np.asarray(light.reshape(height, 4, width, 4).mean(axis=(1, 3)))
 
 
-def truth(camera, camera_from_board, index, board=BOARD):
+def truth(camera: LensCamera, camera_from_board: FloatArray, index: IntArray, board: Board = BOARD) -> FloatArray:
     """(n, 2) pixels where the dots' centres are seen."""
     return camera.pixel_of_point(apply(camera_from_board, board.point_of(index)))
 
 
-def exposed(light, white=200.0, snr=None, seed=1, dtype=np.uint8):
+def exposed(
+    light: FloatArray, white: float = 200.0, snr: int | None = None, seed: int = 1, dtype: type[np.uint32] = np.uint8
+) -> NDArray[np.uint16] | NDArray[np.uint8]:
     """The picture that a camera makes: `white` grey values for 1, noise of white / snr."""
     noise = 0.0 if snr is None else np.random.default_rng(seed).normal(0, white / snr, light.shape)
     return np.clip(np.rint(light * white + noise), 0, np.iinfo(dtype).max).astype(dtype)

@@ -3,12 +3,14 @@
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import astuple, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from captures.boards.board_pictures import BOARD
 from PIL import Image
+from present import present
 
 from wlr_render.captures.boards.april_grid import AprilGrid
 from wlr_render.captures.boards.board import BoardTolerances
@@ -18,6 +20,7 @@ from wlr_render.captures.boards.board_file import board_table, load_board, save_
 from wlr_render.captures.boards.charuco import CharucoBoard
 from wlr_render.captures.boards.chessboard import Chessboard
 from wlr_render.captures.boards.circle_grid import CircleGrid
+from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
 
@@ -34,7 +37,7 @@ SVG = "{http://www.w3.org/2000/svg}"
         ('"001100010100000110"', "1100", "'sizes' must be a list of texts"),
     ],
 )
-def test_a_board_file_that_is_wrong_is_named(tmp_path, old, new, sentence):
+def test_a_board_file_that_is_wrong_is_named(tmp_path: Path, old: str, new: str, sentence: str) -> None:
     path = save_board(BOARD, tmp_path / "board.toml")
     text = path.read_text()
     assert old in text
@@ -44,12 +47,17 @@ def test_a_board_file_that_is_wrong_is_named(tmp_path, old, new, sentence):
     assert str(path) in str(caught.value)
 
 
-def test_circles_of_the_svg_lie_where_the_board_has_its_dots(tmp_path):
+def test_circles_of_the_svg_lie_where_the_board_has_its_dots(tmp_path: Path) -> None:
     root = ET.parse(write_board_svg(BOARD, tmp_path / "board.svg")).getroot()
-    width, height = float(root.get("width").removesuffix("mm")), float(root.get("height").removesuffix("mm"))
-    assert root.get("viewBox").split()[2:] == [f"{width:.4f}", f"{height:.4f}"], "a user unit is not a millimetre"
+    width, height = (
+        float(present(root.get("width")).removesuffix("mm")),
+        float(present(root.get("height")).removesuffix("mm")),
+    )
+    assert present(root.get("viewBox")).split()[2:] == [f"{width:.4f}", f"{height:.4f}"], (
+        "a user unit is not a millimetre"
+    )
     circles = root.findall(f"{SVG}circle")
-    drawn = np.array([[float(circle.get(key)) for key in ("cx", "cy", "r")] for circle in circles])
+    drawn = np.array([[float(present(circle.get(key))) for key in ("cx", "cy", "r")] for circle in circles])
     corner_m = 0.5 * BOARD.size_m
     assert np.allclose(1e-3 * drawn[:, :2] - corner_m, BOARD.point_of(BOARD.indices())[:, :2], atol=1e-7)
     assert np.allclose(2e-3 * drawn[:, 2], BOARD.diameter_of(BOARD.indices()), atol=2e-7)
@@ -57,12 +65,12 @@ def test_circles_of_the_svg_lie_where_the_board_has_its_dots(tmp_path):
 
 
 @pytest.mark.parametrize(("board", "dpi"), [(BOARD, 300), (design_board(5, 5, 0.002), 1200)], ids=["usual", "tiny"])
-def test_the_ruler_is_as_long_as_is_written_beside_it(tmp_path, board, dpi):
+def test_the_ruler_is_as_long_as_is_written_beside_it(tmp_path: Path, board: DotBoard, dpi: int) -> None:
     root = ET.parse(write_board_svg(board, tmp_path / "board.svg")).getroot()
-    line = re.match(r"M (\S+) (\S+) h (\S+)", root.find(f"{SVG}path").get("d"))
-    left, y, length = (float(number) for number in line.groups())
+    line = re.match(r"M (\S+) (\S+) h (\S+)", present(present(root.find(f"{SVG}path")).get("d")))
+    left, y, length = (float(number) for number in present(line).groups())
     assert root.findall(f"{SVG}text")[0].text == f"{length:g} mm"
-    assert left + length < float(root.get("width").removesuffix("mm"))
+    assert left + length < float(present(root.get("width")).removesuffix("mm"))
 
     pixels_per_mm = dpi / 25.4
     picture = np.array(Image.open(write_board_png(board, tmp_path / "board.png", dpi)))
@@ -71,7 +79,7 @@ def test_the_ruler_is_as_long_as_is_written_beside_it(tmp_path, board, dpi):
     assert (dark[-1] - dark[0] + 1) / pixels_per_mm - 0.2 == pytest.approx(length, abs=1.5 / pixels_per_mm)
 
 
-def test_dots_of_the_png_have_the_pitch_of_its_resolution(tmp_path):
+def test_dots_of_the_png_have_the_pitch_of_its_resolution(tmp_path: Path) -> None:
     path = write_board_png(BOARD, tmp_path / "board.png", 150)
     with Image.open(path) as picture:
         assert picture.info["dpi"] == pytest.approx((150, 150), rel=1e-4)  # whole pixels per metre
@@ -81,7 +89,7 @@ def test_dots_of_the_png_have_the_pitch_of_its_resolution(tmp_path):
     assert np.allclose(found.pixel, in_board * 150 / 0.0254, atol=0.03)
 
 
-def test_a_png_too_coarse_for_its_dots_is_refused(tmp_path):
+def test_a_png_too_coarse_for_its_dots_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"smallest shapes are 6\.0 pixels wide; choose another resolution"):
         write_board_png(BOARD, tmp_path / "board.png", 40)
     assert not list(tmp_path.iterdir())
@@ -98,7 +106,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_comes_back_as_it_was_written(tmp_path, kind):
+def test_every_kind_comes_back_as_it_was_written(tmp_path: Path, kind: str) -> None:
     path = save_board(KINDS[kind], tmp_path / "board.toml")
     assert f'kind = "{kind}"' in path.read_text()
     back = load_board(path)
@@ -108,7 +116,7 @@ def test_every_kind_comes_back_as_it_was_written(tmp_path, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_is_found_in_its_own_drawing(tmp_path, kind):
+def test_every_kind_is_found_in_its_own_drawing(tmp_path: Path, kind: str) -> None:
     board = KINDS[kind]
     image = read_photograph(write_board_png(board, tmp_path / "board.png", 150))
     found = board.find(cv2.GaussianBlur(np.asarray(image), (0, 0), 1.0))
@@ -118,10 +126,10 @@ def test_every_kind_is_found_in_its_own_drawing(tmp_path, kind):
     there = [per_metre * (board.point_of(each.index)[:, :2] + 0.5 * board.size_m) for each in numbered]
     assert min(np.abs(found.pixel - place).max() for place in there) < 0.6, "as the picture's size is rounded"
     drawn = ET.parse(write_board_svg(board, tmp_path / "board.svg")).getroot()
-    assert board.title in drawn.find(f"{SVG}title").text
+    assert board.title in present(present(drawn.find(f"{SVG}title")).text)
 
 
-def test_a_file_without_a_kind_is_a_board_of_dots(tmp_path):
+def test_a_file_without_a_kind_is_a_board_of_dots(tmp_path: Path) -> None:
     path = save_board(BOARD, tmp_path / "board.toml")
     kept = [
         line for line in path.read_text().splitlines() if not re.match("kind|scale_sigma|flatness|print_error", line)
@@ -132,7 +140,7 @@ def test_a_file_without_a_kind_is_a_board_of_dots(tmp_path):
     assert np.allclose(astuple(board.tolerances), astuple(BoardTolerances()))
 
 
-def test_a_board_on_a_monitor_is_given_in_its_pixels(tmp_path):
+def test_a_board_on_a_monitor_is_given_in_its_pixels(tmp_path: Path) -> None:
     path = tmp_path / "board.toml"
     path.write_text(
         'kind = "chessboard"\nscreen = true\npixel_pitch_mm = 0.25\ncorner_columns = 9\ncorner_rows = 6\n'
@@ -162,7 +170,9 @@ def test_a_board_on_a_monitor_is_given_in_its_pixels(tmp_path):
         ("circles", "diameter_mm = 12", "diameter_mm = 20", "circles nearly touch"),
     ],
 )
-def test_a_file_of_another_kind_that_is_wrong_is_named(tmp_path, kind, old, new, sentence):
+def test_a_file_of_another_kind_that_is_wrong_is_named(
+    tmp_path: Path, kind: str, old: str, new: str, sentence: str
+) -> None:
     path = save_board(KINDS[kind], tmp_path / "board.toml")
     text = path.read_text()
     assert old in text
@@ -178,7 +188,7 @@ CHECKER_OF_KALIBR = (
 )
 
 
-def test_targets_of_kalibr_are_read(tmp_path):
+def test_targets_of_kalibr_are_read(tmp_path: Path) -> None:
     file = tmp_path / "target.yaml"
     file.write_text(APRIL_OF_KALIBR)
     expected = AprilGrid(6, 5, 0.088, 0.3, border_bits=2, first_id=0, first_at_bottom=True)
@@ -200,7 +210,7 @@ def test_targets_of_kalibr_are_read(tmp_path):
         ("", "is not a target of Kalibr; write board.toml"),
     ],
 )
-def test_what_is_not_read_of_a_target_of_kalibr_is_named(tmp_path, text, sentence):
+def test_what_is_not_read_of_a_target_of_kalibr_is_named(tmp_path: Path, text: str, sentence: str) -> None:
     (tmp_path / "target.yaml").write_text(text)
     with pytest.raises(BadInputError, match=rf"target\.yaml: .*{sentence}"):
         load_board(tmp_path / "target.yaml")

@@ -5,18 +5,21 @@ distortion, and rounding to 8 bits.
 """
 
 from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from captures.boards.board_pictures import BARREL, light_of, pose, truth
+from numpy.typing import NDArray
 
 from wlr_render.captures.boards.april_grid import AprilGrid
-from wlr_render.captures.boards.board import BoardNotFoundError
+from wlr_render.captures.boards.board import Board, BoardNotFoundError, BoardObservation
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.charuco import CharucoBoard
 from wlr_render.captures.boards.chessboard import Chessboard
 from wlr_render.captures.boards.circle_grid import CircleGrid
+from wlr_render.numerics.arrays import FloatArray
 
 BOARDS = {
     "dots": design_board(16, 12, 0.01),
@@ -32,36 +35,36 @@ VIEW = pose(turn_deg=12, tilt_deg=28, distance_m=0.27, tilt_axis="x")
 
 
 @cache
-def view(name, blur_px=0.8):
+def view(name: str, blur_px: float = 0.8) -> FloatArray:
     light = light_of(BARREL, VIEW, BOARDS[name])
     height, width = light.shape
     v, u = np.mgrid[:height, :width]
     lamp = 0.35 + 0.65 * np.exp(-((u - 0.3 * width) ** 2 + (v - 0.7 * height) ** 2) / (0.6 * width) ** 2)
     vignette = (1 + ((u - width / 2) ** 2 + (v - height / 2) ** 2) / width**2) ** -2
-    return 0.04 + cv2.GaussianBlur(light, (0, 0), blur_px) * lamp * vignette
+    return np.asarray(0.04 + cv2.GaussianBlur(light, (0, 0), blur_px) * lamp * vignette)
 
 
-def photograph(name, seed, blur_px=0.8):
+def photograph(name: str, seed: int, blur_px: float = 0.8) -> NDArray[np.uint8]:
     """8 bits with shot noise of 4000 electrons at white and read-out noise."""
     rng, light = np.random.default_rng(seed), view(name, blur_px)
     electrons = rng.poisson(4000 * light) + rng.normal(0, 15, light.shape)
     return np.clip(np.rint(electrons * (220 / 4000)), 0, 255).astype(np.uint8)
 
 
-def unturned(found, board):
+def unturned(found: BoardObservation, board: Board) -> BoardObservation:
     """The numbering of a half-turn symmetric board that fits the view."""
     assert found.ambiguous_half_turn == board.half_turn_symmetric
     off = [np.median(np.abs(each.pixel - truth(BARREL, VIEW, each.index, board))) for each in both(found, board)]
     return both(found, board)[int(np.argmin(off))]
 
 
-def both(found, board):
+def both(found: BoardObservation, board: Board) -> list[Any]:
     return [found, found.half_turned(board)] if found.ambiguous_half_turn else [found]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BOARDS)
-def test_features_are_where_they_are_and_sigma_is_honest(name):
+def test_features_are_where_they_are_and_sigma_is_honest(name: str) -> None:
     board, pulls, errors, seen = BOARDS[name], [], [], 0
     for seed in range(8):
         found = unturned(board.find(photograph(name, seed)), board)
@@ -77,7 +80,7 @@ def test_features_are_where_they_are_and_sigma_is_honest(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BOARDS)
-def test_out_of_focus_sigma_grows_and_stays_honest(name):
+def test_out_of_focus_sigma_grows_and_stays_honest(name: str) -> None:
     board = BOARDS[name]
     sharp = board.find(photograph(name, 1))
     found = [unturned(board.find(photograph(name, seed, 1.5)), board) for seed in range(4)]
@@ -87,7 +90,7 @@ def test_out_of_focus_sigma_grows_and_stays_honest(name):
 
 
 @pytest.mark.parametrize("name", BOARDS)
-def test_a_mirrored_picture_is_never_numbered_as_if_it_were_not(name):
+def test_a_mirrored_picture_is_never_numbered_as_if_it_were_not(name: str) -> None:
     """Kinds that look the same mirrored are found with right-handed numbers; the others are refused."""
     board, image = BOARDS[name], np.ascontiguousarray(photograph(name, 1)[:, ::-1])
     try:
@@ -102,7 +105,7 @@ def test_a_mirrored_picture_is_never_numbered_as_if_it_were_not(name):
 
 
 @pytest.mark.parametrize("name", BOARDS)
-def test_places_and_picture_of_a_board_agree_about_its_frame(name):
+def test_places_and_picture_of_a_board_agree_about_its_frame(name: str) -> None:
     board = BOARDS[name]
     point = board.point_of(board.indices())
     assert np.allclose(point.min(axis=0), -point.max(axis=0), atol=1e-12)

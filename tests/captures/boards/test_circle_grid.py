@@ -9,6 +9,7 @@ from captures.boards.board_pictures import CAMERA, exposed, light_of, pose, trut
 
 from wlr_render.captures.boards.board import BoardNotFoundError
 from wlr_render.captures.boards.circle_grid import CircleGrid
+from wlr_render.numerics.arrays import FloatArray
 
 GRIDS = {
     "rows": CircleGrid(9, 7, 0.016, 0.009, 0.016),
@@ -17,13 +18,15 @@ GRIDS = {
 }
 
 
-def light(grid, turn_deg=15.0):
-    return cv2.GaussianBlur(light_of(CAMERA, pose(turn_deg, tilt_deg=15, distance_m=0.28), grid), (0, 0), 0.7)
+def light(grid: CircleGrid, turn_deg: float = 15.0) -> FloatArray:
+    return np.asarray(
+        cv2.GaussianBlur(light_of(CAMERA, pose(turn_deg, tilt_deg=15, distance_m=0.28), grid), (0, 0), 0.7)
+    )
 
 
 @pytest.mark.parametrize("turn_deg", [0, 95, 185, 280])
 @pytest.mark.parametrize("name", GRIDS)
-def test_circles_are_numbered_whichever_way_the_grid_is_turned(name, turn_deg):
+def test_circles_are_numbered_whichever_way_the_grid_is_turned(name: str, turn_deg: int) -> None:
     grid = GRIDS[name]
     found = grid.find(exposed(light(grid, turn_deg), snr=40))
     assert len(found) == len(grid.indices())
@@ -41,12 +44,12 @@ def test_circles_are_numbered_whichever_way_the_grid_is_turned(name, turn_deg):
         ("staggered", CircleGrid(4, 9, 0.012, 0.01, 0.016, staggered=True)),
     ],
 )
-def test_part_of_a_larger_grid_is_not_taken_for_a_whole_one(seen, stated):
+def test_part_of_a_larger_grid_is_not_taken_for_a_whole_one(seen: str, stated: CircleGrid) -> None:
     with pytest.raises(BoardNotFoundError, match=r"^a\.png: the grid seen has more circles than board\.toml says"):
         stated.find(exposed(light(GRIDS[seen]), snr=40), "a.png")
 
 
-def test_a_hidden_circle_is_a_grid_not_found():
+def test_a_hidden_circle_is_a_grid_not_found() -> None:
     grid = GRIDS["rows"]
     x, y = truth(CAMERA, pose(15.0, tilt_deg=15, distance_m=0.28), np.array([[4, 3]]), grid)[0]
     image = light(grid)
@@ -55,7 +58,7 @@ def test_a_hidden_circle_is_a_grid_not_found():
         grid.find(exposed(image, snr=40), "a.png")
 
 
-def test_a_radius_stated_as_the_diameter_is_named():
+def test_a_radius_stated_as_the_diameter_is_named() -> None:
     grid = GRIDS["rows"]
     wrong = replace(grid, diameter_m=0.5 * grid.diameter_m)
     with pytest.raises(

@@ -1,29 +1,35 @@
 """From rendered photographs with known truth to identified dots."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from captures.boards.board_pictures import BARREL, BOARD, CAMERA, exposed, light_of, pose, truth
+from numpy import unsignedinteger
+from numpy.typing import NDArray
 
-from wlr_render.captures.boards.board import BoardNotFoundError
+from wlr_render.captures.boards.board import BoardNotFoundError, BoardObservation
 from wlr_render.captures.boards.board_design import design_board
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.numerics.arrays import FloatArray
 
 VIEW = pose(turn_deg=25, tilt_deg=20, distance_m=0.27)
 
 
 @pytest.fixture(scope="module")
-def light():
+def light() -> FloatArray:
     """A view of the whole board, slanted."""
     return light_of(CAMERA, VIEW)
 
 
-def rms(found, camera, camera_from_board):
+def rms(found: BoardObservation, camera: LensCamera, camera_from_board: FloatArray) -> float:
     return float(np.sqrt(np.mean((found.pixel - truth(camera, camera_from_board, found.index)) ** 2)))
 
 
-def spotted(light, centres, radius, level):
+def spotted(light: FloatArray, centres: FloatArray, radius: int, level: float) -> FloatArray:
     light = light.copy()
     for x, y in centres:
         cv2.circle(light, (int(x), int(y)), radius, level, -1)
@@ -42,14 +48,14 @@ def spotted(light, centres, radius, level):
     ],
     ids=["turned", "slanted", "near and slanted", "part of it", "far"],
 )
-def test_centres_of_clean_pictures(camera, view, least):
+def test_centres_of_clean_pictures(camera: LensCamera, view: dict[str, Any], least: int) -> None:
     camera_from_board = pose(**view)
     found = BOARD.find(exposed(light_of(camera, camera_from_board)))
     assert len(found) >= least
     assert rms(found, camera, camera_from_board) < 0.01
 
 
-def test_without_the_correction_slanted_dots_would_be_off():
+def test_without_the_correction_slanted_dots_would_be_off() -> None:
     """That the accuracy above is not an easy one: the bias of centres in that view is far larger."""
     camera_from_board = pose(turn_deg=190, tilt_deg=50, distance_m=0.2, tilt_axis="x")
     index = BOARD.indices()
@@ -66,7 +72,7 @@ def test_without_the_correction_slanted_dots_would_be_off():
     [(200, 20, np.uint8), (12, 20, np.uint8), (2500, 20, np.uint16), (50_000, 20, np.uint16)],
     ids=["8 bits", "hardly exposed", "12 bits", "16 bits"],
 )
-def test_sigma_is_honest_at_any_exposure(light, white, snr, dtype):
+def test_sigma_is_honest_at_any_exposure(light: FloatArray, white: int, snr: int, dtype: type[unsignedinteger]) -> None:
     found = BOARD.find(exposed(light, white, snr, dtype=dtype))
     assert len(found) == BOARD.large.size
     assert rms(found, CAMERA, VIEW) < 0.05
@@ -74,7 +80,7 @@ def test_sigma_is_honest_at_any_exposure(light, white, snr, dtype):
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=0.3)
 
 
-def test_uneven_light_and_blur(light):
+def test_uneven_light_and_blur(light: FloatArray) -> None:
     v, u = np.mgrid[:400, :480]
     uneven = light * (0.15 + 0.85 * np.exp(-((u - 100) ** 2 + (v - 300) ** 2) / 250**2))
     found = BOARD.find(exposed(cv2.GaussianBlur(uneven, (0, 0), 1.2)))
@@ -83,14 +89,14 @@ def test_uneven_light_and_blur(light):
 
 
 @pytest.mark.parametrize(("surround", "dot", "veil"), [(0.0, 0.05, 0.0), (0.0, 0.5, 0.0), (0.6, 0.05, 0.5)])
-def test_dark_surround_grey_dots_and_stray_light(surround, dot, veil):
+def test_dark_surround_grey_dots_and_stray_light(surround: float, dot: float, veil: float) -> None:
     light = veil + (1 - veil) * light_of(CAMERA, VIEW, surround=surround, dot=dot)
     found = BOARD.find(exposed(light, snr=40))
     assert len(found) == BOARD.large.size
     assert rms(found, CAMERA, VIEW) < 0.05
 
 
-def test_missing_dots_and_clutter(light):
+def test_missing_dots_and_clutter(light: FloatArray) -> None:
     rng = np.random.default_rng(3)
     gone = rng.permutation(BOARD.indices())[:30]
     there = spotted(light, truth(CAMERA, VIEW, gone), 9, 1.0)
@@ -101,7 +107,7 @@ def test_missing_dots_and_clutter(light):
     assert rms(found, CAMERA, VIEW) < 0.1
 
 
-def test_a_single_row_that_sticks_out_does_no_harm(light):
+def test_a_single_row_that_sticks_out_does_no_harm(light: FloatArray) -> None:
     index = BOARD.indices()
     column, row = index.T
     gone = index[((column > 6) & (row != 3)) | (row > 6)]
@@ -111,7 +117,7 @@ def test_a_single_row_that_sticks_out_does_no_harm(light):
     assert rms(found, CAMERA, VIEW) < 0.1
 
 
-def test_dots_of_the_wrong_size_are_left_out():
+def test_dots_of_the_wrong_size_are_left_out() -> None:
     wrong = np.random.default_rng(4).permutation(BOARD.indices())[:12]
     large = BOARD.large.copy()
     large[wrong[:, 1], wrong[:, 0]] ^= True
@@ -120,24 +126,24 @@ def test_dots_of_the_wrong_size_are_left_out():
     assert not {tuple(each) for each in wrong} & {tuple(each) for each in found.index}
 
 
-def test_dots_strewn_about_are_no_board():
+def test_dots_strewn_about_are_no_board() -> None:
     strewn = np.random.default_rng(5).uniform(0, [480, 400], (300, 2))
     with pytest.raises(BoardNotFoundError):
         BOARD.find(exposed(spotted(np.ones((400, 480)), strewn, 4, 0.1)))
 
 
 @pytest.mark.parametrize("mirrored", [lambda image: image[:, ::-1], lambda image: image[::-1], np.transpose])
-def test_a_mirrored_picture_is_called_so(light, mirrored):
+def test_a_mirrored_picture_is_called_so(light: FloatArray, mirrored: Callable[..., Any]) -> None:
     with pytest.raises(BoardNotFoundError, match=r"^left\.png: the picture is mirrored"):
         BOARD.find(np.ascontiguousarray(mirrored(exposed(light))), "left.png")
 
 
-def test_another_board_is_called_so(light):
+def test_another_board_is_called_so(light: FloatArray) -> None:
     with pytest.raises(BoardNotFoundError, match=r"view 3: .* is it another board"):
         design_board(18, 14, 0.01, seed=2).find(exposed(light), "view 3")
 
 
-def test_too_small_a_part_says_how_many_dots_it_has(light):
+def test_too_small_a_part_says_how_many_dots_it_has(light: FloatArray) -> None:
     part = np.full_like(light, 1.0)
     part[170:240, 200:270] = light[170:240, 200:270]
     with pytest.raises(BoardNotFoundError, match=r"photograph: only \d+ dots in one piece were seen; at least 20 are"):
@@ -155,6 +161,6 @@ def test_too_small_a_part_says_how_many_dots_it_has(light):
     ],
     ids=["black", "white", "white of 16 bits", "noise", "tiny"],
 )
-def test_pictures_without_a_board_are_named(picture, sentence):
+def test_pictures_without_a_board_are_named(picture: NDArray[np.uint16] | NDArray[np.uint8], sentence: str) -> None:
     with pytest.raises(BoardNotFoundError, match=rf"^shot 7: .*{sentence}"):
         BOARD.find(picture, "shot 7")

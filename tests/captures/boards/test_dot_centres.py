@@ -3,14 +3,18 @@
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike, NDArray
 
-from wlr_render.captures.boards.dot_centres import measure_dots
+from wlr_render.captures.boards.dot_centres import MeasuredDots, measure_dots
 from wlr_render.captures.boards.dot_lattice import find_dots
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 FINE = 8  # rays per pixel and axis
 
 
-def drawn(centres, half_axes, turn_rad, size=(240, 320), dot=0.1):
+def drawn(
+    centres: ArrayLike, half_axes: ArrayLike, turn_rad: float, size: tuple[int, int] = (240, 320), dot: float = 0.1
+) -> FloatArray:
     """(h, w) light of ellipses on white 1."""
     light = np.ones((FINE * size[0], FINE * size[1]))
     c, s = np.cos(turn_rad), np.sin(turn_rad)
@@ -20,10 +24,10 @@ def drawn(centres, half_axes, turn_rad, size=(240, 320), dot=0.1):
         dv, du = ((np.arange(n) + 0.5 + start) / FINE for n, start in zip(part.shape, low, strict=True))
         du, dv = du[None, :] - x, dv[:, None] - y
         part[((c * du + s * dv) / a) ** 2 + ((c * dv - s * du) / b) ** 2 < 1] = dot
-    return light.reshape(size[0], FINE, size[1], FINE).mean(axis=(1, 3))
+    return np.asarray(light.reshape(size[0], FINE, size[1], FINE).mean(axis=(1, 3)))
 
 
-def scattered(diameter, seed=1):
+def scattered(diameter: float, seed: int = 1) -> FloatArray:
     """Centres on a loose grid, off by parts of a pixel."""
     pitch = max(16.0, min(2.5 * diameter, 90.0))
     u, v = np.meshgrid(np.arange(pitch, 320 - 0.7 * pitch, pitch), np.arange(pitch, 240 - 0.7 * pitch, pitch))
@@ -31,7 +35,9 @@ def scattered(diameter, seed=1):
     return grid + np.random.default_rng(seed).uniform(-0.5, 0.5, grid.shape)
 
 
-def measured(image, centres):
+def measured(
+    image: NDArray[np.uint16] | NDArray[np.uint8], centres: FloatArray
+) -> tuple[FloatArray, MeasuredDots, IntArray]:
     """What is measured of each true dot."""
     dots = find_dots(image)
     assert len(dots) == len(centres), "dots were missed or seen twice"
@@ -42,7 +48,7 @@ def measured(image, centres):
 
 @pytest.mark.parametrize("blur_px", [0.0, 1.2])
 @pytest.mark.parametrize("diameter", [6.0, 9.0, 20.0, 60.0])
-def test_centre_and_area_are_not_biased_by_size_or_blur(diameter, blur_px):
+def test_centre_and_area_are_not_biased_by_size_or_blur(diameter: float, blur_px: float) -> None:
     centres = scattered(diameter)
     light = drawn(centres, np.full((len(centres), 2), 0.5 * diameter), 0.0)
     light = cv2.GaussianBlur(light, (0, 0), blur_px) if blur_px else light
@@ -52,7 +58,7 @@ def test_centre_and_area_are_not_biased_by_size_or_blur(diameter, blur_px):
     assert area == pytest.approx(0.25 * np.pi * diameter**2, rel=0.03)
 
 
-def test_slanted_dots_keep_their_centres_and_shapes():
+def test_slanted_dots_keep_their_centres_and_shapes() -> None:
     centres = scattered(14.0)
     seen, found, order = measured(np.uint8(200 * drawn(centres, np.tile([7.0, 4.0], (len(centres), 1)), 0.6)), centres)
     assert np.sqrt(np.mean((seen - centres) ** 2)) < 0.015
@@ -60,7 +66,7 @@ def test_slanted_dots_keep_their_centres_and_shapes():
     assert 2 * np.sqrt(squares) == pytest.approx(np.tile([4.0, 7.0], (len(centres), 1)), rel=0.04)
 
 
-def test_light_that_falls_off_does_not_shift_dots():
+def test_light_that_falls_off_does_not_shift_dots() -> None:
     centres = scattered(20.0)
     light = drawn(centres, np.full((len(centres), 2), 10.0), 0.0)
     slope = np.linspace(1.0, 0.2, light.shape[1])
@@ -69,7 +75,7 @@ def test_light_that_falls_off_does_not_shift_dots():
 
 
 @pytest.mark.parametrize(("diameter", "snr"), [(7.0, 20), (16.0, 20), (16.0, 60), (40.0, 20)])
-def test_sigma_is_what_noise_does(diameter, snr):
+def test_sigma_is_what_noise_does(diameter: float, snr: int) -> None:
     centres = scattered(diameter)
     light = drawn(centres, np.full((len(centres), 2), 0.5 * diameter), 0.0)
     rng = np.random.default_rng(5)
@@ -81,7 +87,7 @@ def test_sigma_is_what_noise_does(diameter, snr):
     assert np.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.3)
 
 
-def test_a_dot_cut_off_by_the_picture_is_not_measured():
+def test_a_dot_cut_off_by_the_picture_is_not_measured() -> None:
     light = drawn([[4.0, 60.0], [100.0, 60.0]], [[6.0, 6.0], [6.0, 6.0]], 0.0)
     image = np.uint8(200 * light)
     dots = find_dots(image)

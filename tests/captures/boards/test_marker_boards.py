@@ -3,30 +3,33 @@
 from dataclasses import replace
 from functools import cache
 from itertools import product
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from captures.boards.board_pictures import CAMERA, exposed, light_of, pose, truth
+from numpy.typing import NDArray
 
 from wlr_render.captures.boards.april_grid import AprilGrid
 from wlr_render.captures.boards.board import BoardNotFoundError
+from wlr_render.captures.boards.cell_pattern import CellBoard
 from wlr_render.captures.boards.charuco import CharucoBoard
 
 CHARUCO = CharucoBoard(8, 6, 0.02, 0.015, "DICT_4X4_100")
 APRIL = AprilGrid(4, 3, 0.032, 0.3)
 
 
-def picture(board, **view):
+def picture(board: CellBoard, **view: Any) -> NDArray[np.uint8]:
     return exposed(cv2.GaussianBlur(light_of(CAMERA, pose(**view), board), (0, 0), 0.7), snr=40)
 
 
 @cache
-def whole_picture(board):
+def whole_picture(board: CellBoard) -> NDArray[np.uint8]:
     return picture(board, distance_m=0.28)
 
 
-def test_our_picture_of_a_charuco_board_is_opencvs():
+def test_our_picture_of_a_charuco_board_is_opencvs() -> None:
     for board in (CHARUCO, replace(CHARUCO, legacy=True)):
         made = cv2.aruco.CharucoBoard((8, 6), 0.02, 0.015, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_100))
         made.setLegacyPattern(board.legacy)
@@ -41,28 +44,28 @@ def test_our_picture_of_a_charuco_board_is_opencvs():
     [*product((CHARUCO, APRIL), (0, 100, 190, 280)), (replace(CHARUCO, legacy=True), 100)],
     ids=lambda value: value if isinstance(value, int) else type(value).__name__,
 )
-def test_part_of_a_board_is_identified(board, turn_deg):
-    view = {"turn_deg": turn_deg, "tilt_deg": 25, "distance_m": 0.13}
+def test_part_of_a_board_is_identified(board: CellBoard, turn_deg: int) -> None:
+    view: dict[str, Any] = {"turn_deg": turn_deg, "tilt_deg": 25, "distance_m": 0.13}
     found = board.find(picture(board, **view))
     assert 8 <= len(found) < len(board.indices())
     assert np.abs(found.pixel - truth(CAMERA, pose(**view), found.index, board)).max() < 0.2
 
 
-def test_a_blurred_charuco_board_of_few_corners_is_refused():
+def test_a_blurred_charuco_board_of_few_corners_is_refused() -> None:
     light = cv2.GaussianBlur(light_of(CAMERA, pose(distance_m=0.28), CHARUCO), (0, 0), 2.3)
     with pytest.raises(BoardNotFoundError, match=r"^a\.png: only [123] corners of the board were seen"):
         CHARUCO.find(exposed(light, snr=40), "a.png")
 
 
 @pytest.mark.parametrize("legacy", [False, True])
-def test_the_other_pattern_is_named(legacy):
+def test_the_other_pattern_is_named(legacy: bool) -> None:
     image = whole_picture(replace(CHARUCO, legacy=legacy))
     with pytest.raises(BoardNotFoundError, match=rf"^a\.png: .* set legacy = {str(legacy).lower()} in board\.toml"):
         replace(CHARUCO, legacy=not legacy).find(image, "a.png")
 
 
 @pytest.mark.parametrize("legacy", [False, True])
-def test_the_other_pattern_of_an_odd_number_of_columns_is_named(legacy):
+def test_the_other_pattern_of_an_odd_number_of_columns_is_named(legacy: bool) -> None:
     """Its markers lie as here but for one in every second row."""
     board = CharucoBoard(15, 8, 0.01, 0.0075, "DICT_5X5_100", legacy)
     image = cv2.copyMakeBorder(board._opencv.generateImage((900, 480)), 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
@@ -72,7 +75,7 @@ def test_the_other_pattern_of_an_odd_number_of_columns_is_named(legacy):
         replace(board, legacy=not legacy).find(image)
 
 
-def test_another_charuco_board_is_named():
+def test_another_charuco_board_is_named() -> None:
     image = whole_picture(CHARUCO)
     for changes, sentence in (
         ({"dictionary": "DICT_5X5_100"}, r"no marker of DICT_5X5_100 is in the picture, but 24 of DICT_4X4_1000"),
@@ -91,7 +94,7 @@ def test_another_charuco_board_is_named():
         CHARUCO.find(np.full_like(image, 90))
 
 
-def steep_view(tilt_deg=76.0, focal_px=1400.0, distance_m=0.2):
+def steep_view(tilt_deg: float = 76.0, focal_px: float = 1400.0, distance_m: float = 0.2) -> tuple[Any, Any, Any]:
     """A board of 17 x 11 squares tilted about x, and its homography from (x, y) in metres to pixels."""
     made = cv2.aruco.CharucoBoard((17, 11), 0.01, 0.0075, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100))
     rotation = cv2.Rodrigues(np.array([np.deg2rad(tilt_deg), 0.0, 0.0]))[0]
@@ -106,7 +109,7 @@ def steep_view(tilt_deg=76.0, focal_px=1400.0, distance_m=0.2):
     return made, (40 + 0.7 * image).astype(np.uint8), homography
 
 
-def test_a_steep_charuco_board_is_found_where_opencv_takes_it_for_another():
+def test_a_steep_charuco_board_is_found_where_opencv_takes_it_for_another() -> None:
     made, image, homography = steep_view()
     assert cv2.aruco.CharucoDetector(made).detectBoard(image)[1] is None
     board = CharucoBoard(17, 11, 0.01, 0.0075, "DICT_5X5_100")
@@ -119,19 +122,19 @@ def test_a_steep_charuco_board_is_found_where_opencv_takes_it_for_another():
 
 
 @pytest.mark.parametrize("board", [CHARUCO, APRIL], ids=["charuco", "april"])
-def test_a_board_seen_in_a_mirror_is_named(board):
+def test_a_board_seen_in_a_mirror_is_named(board: CellBoard) -> None:
     image = np.ascontiguousarray(whole_picture(board)[:, ::-1])
     with pytest.raises(BoardNotFoundError, match=r"^a\.png: the picture is mirrored"):
         board.find(image, "a.png")
 
 
-def test_numbering_from_another_corner_is_named():
+def test_numbering_from_another_corner_is_named() -> None:
     image = whole_picture(APRIL)
     with pytest.raises(BoardNotFoundError, match=r'^a\.png: .* set first_tag = "bottom-left" in board\.toml'):
         replace(APRIL, first_at_bottom=False).find(image, "a.png")
 
 
-def test_another_april_grid_is_named():
+def test_another_april_grid_is_named() -> None:
     image = whole_picture(APRIL)
     with pytest.raises(BoardNotFoundError, match=r"0 tags of the board .* check border_bits"):
         AprilGrid(4, 3, 0.032, 0.3, border_bits=1).find(np.full_like(image, 90))
@@ -154,7 +157,7 @@ def test_another_april_grid_is_named():
     assert len(replace(APRIL, spacing=0.305).find(image)) == len(APRIL.find(image))
 
 
-def test_tags_printed_with_one_border_bit_and_two_stated_are_named():
+def test_tags_printed_with_one_border_bit_and_two_stated_are_named() -> None:
     image = picture(replace(APRIL, border_bits=1), distance_m=0.28)
     with pytest.raises(
         BoardNotFoundError, match=r"\d+ tags .* 1 bits wide, 0 with border_bits = 2; set border_bits = 1"
@@ -162,7 +165,7 @@ def test_tags_printed_with_one_border_bit_and_two_stated_are_named():
         APRIL.find(image)
 
 
-def test_tags_of_another_family_are_named(monkeypatch):
+def test_tags_of_another_family_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as other:
         other.setattr("wlr_render.captures.boards.april_grid.DICTIONARY", "DICT_APRILTAG_25h9")
         image = picture(AprilGrid(4, 3, 0.032, 0.3), distance_m=0.28)
@@ -170,14 +173,14 @@ def test_tags_of_another_family_are_named(monkeypatch):
         AprilGrid(4, 3, 0.032, 0.3).find(image)
 
 
-def test_corners_that_lie_on_no_plane_are_refused(monkeypatch):
+def test_corners_that_lie_on_no_plane_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where no other order of the tags is found, for example of tags numbered by columns."""
     monkeypatch.setattr(AprilGrid, "_refuse_other_layout", lambda *_: None)
     with pytest.raises(BoardNotFoundError, match=r"do not lie on a plane as the board's do; correct the numbers"):
         replace(APRIL, tag_columns=3, tag_rows=4).find(whole_picture(APRIL))
 
 
-def test_tags_may_be_printed_turned_in_their_places(monkeypatch):
+def test_tags_may_be_printed_turned_in_their_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """Printers of grids differ in which way up they print the tags of the dictionary."""
     image = whole_picture(APRIL)
     upright = APRIL.find(image)

@@ -1,9 +1,18 @@
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from wlr_render.captures.decoded import Decoded
+from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.mappings import Panel
+from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
+
+if TYPE_CHECKING:
+    from conftest import ToyCamera
 
 
 @dataclass(frozen=True)
@@ -34,7 +43,7 @@ class ToyCamera:
     camera_gamma: float = 1.0
     samples: int = 6
 
-    def position(self, x, y):
+    def position(self, x: FloatArray, y: FloatArray) -> tuple[Any, Any]:
         """Panel positions of places in the picture."""
         x, y = x - self.size_px[0] / 2, y - self.size_px[1] / 2
         across, down = np.cos(self.turn) * x - np.sin(self.turn) * y, np.sin(self.turn) * x + np.cos(self.turn) * y
@@ -44,18 +53,18 @@ class ToyCamera:
             self.panel.height_px / 2 + self.scale * down / depth,
         )
 
-    def truth(self):
+    def truth(self) -> NDArray[Any]:
         """(h, w, 2) panel position at the pixel centres."""
         x, y = np.meshgrid(np.arange(self.size_px[0]) + 0.5, np.arange(self.size_px[1]) + 0.5)
         return np.stack(self.position(x, y), axis=-1)
 
-    def whole(self):
+    def whole(self) -> BoolArray:
         """(h, w) where a pixel and the ring around it lie on the panel."""
         margin = 1.5 * self.scale
         truth = self.truth()
-        return np.all((truth > margin) & (truth < self.panel.size_px - margin), axis=-1)
+        return np.asarray(np.all((truth > margin) & (truth < self.panel.size_px - margin), axis=-1))
 
-    def photographs(self, pattern, seed=0):
+    def photographs(self, pattern: Pattern, seed: int = 0) -> Iterator[Any]:
         """Yield 8-bit photographs of all pictures of a pattern."""
         rng = np.random.default_rng(seed)
         places = self._places()
@@ -65,7 +74,7 @@ class ToyCamera:
             grey = self.black + (np.asarray(self.white) - self.black) * part
             yield np.clip(np.round(grey + rng.normal(0, self.noise, grey.shape)), 0, 255).astype(np.uint8)
 
-    def _places(self):
+    def _places(self) -> list[tuple[Any, Any]]:
         """For each sample of a pixel's area: (h, w) index of a panel pixel, and whether it is on the panel."""
         steps = np.arange(self.samples) / self.samples
         rng = np.random.default_rng(0)
@@ -79,21 +88,21 @@ class ToyCamera:
             found.append((np.clip(v, 0, height - 1) * width + np.clip(u, 0, width - 1), inside))
         return found
 
-    def _average(self, light, places):
+    def _average(self, light: FloatArray, places: Sequence[tuple[Any, Any]]) -> Float32Array:
         flat = light.ravel().astype(np.float32)
-        return sum(flat[index] * inside for index, inside in places) / len(places)
+        return np.asarray(sum(flat[index] * inside for index, inside in places) / len(places))
 
 
 @pytest.fixture(scope="session")
-def toy_camera():
+def toy_camera() -> Callable[..., Any]:
     return ToyCamera
 
 
 @pytest.fixture(scope="session")
-def errors_of():
+def errors_of() -> Callable[[Any, Decoded], tuple[Any, Any]]:
     """Errors (n,) of accepted pixels along the worse axis, and the accepted part of the pixels on the panel."""
 
-    def errors(camera, decoded):
+    def errors(camera: "ToyCamera", decoded: Decoded) -> tuple[Any, Any]:
         off = np.abs(decoded.pixel - camera.truth()).max(axis=-1)
         return off[decoded.accepted], np.mean(decoded.accepted[camera.whole()])
 

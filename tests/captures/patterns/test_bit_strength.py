@@ -1,5 +1,8 @@
 """A bit that was shown too faintly is the one that is named."""
 
+from collections.abc import Iterator, Mapping
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -20,11 +23,13 @@ NAMES = (
 
 
 class Named:
-    def names(self):
+    def names(self) -> tuple[str, str, str, str, str, str, str, str, str]:
         return NAMES
 
 
-def photographs(strength, shape=(40, 50), light=200.0, dark=10.0):
+def photographs(
+    strength: Mapping[Any, Any], shape: tuple[int, int] = (40, 50), light: float = 200.0, dark: float = 10.0
+) -> Iterator[Any]:
     """Every pixel of a bit's picture is at random bright or dark, by the bit's strength of full contrast."""
     rng, bright = np.random.default_rng(3), np.ones(shape, dtype=bool)
     for name in NAMES:
@@ -36,7 +41,7 @@ def photographs(strength, shape=(40, 50), light=200.0, dark=10.0):
         yield np.round(dark + (light - dark) * np.broadcast_to(level, shape)).astype(np.uint8)
 
 
-def test_the_dimmed_bit_is_named_with_its_strength():
+def test_the_dimmed_bit_is_named_with_its_strength() -> None:
     found = bit_strengths(photographs({"u bit 2": 0.05, "v bit 1": 0.6}), Named())
     assert [bit.name for bit in found] == ["u bit 1", "u bit 2", "v bit 1"]
     assert [bit.name for bit in found if bit.weak] == ["u bit 2"]
@@ -44,7 +49,7 @@ def test_the_dimmed_bit_is_named_with_its_strength():
     np.testing.assert_array_equal([bit.unsure_share for bit in found], [0.0, 1.0, 0.0])
 
 
-def test_a_bit_that_is_faint_in_a_corner_shows_in_its_percentiles_and_share():
+def test_a_bit_that_is_faint_in_a_corner_shows_in_its_percentiles_and_share() -> None:
     images = list(photographs({}))
     for index in (2, 3):
         images[index][:4] = 105
@@ -55,7 +60,7 @@ def test_a_bit_that_is_faint_in_a_corner_shows_in_its_percentiles_and_share():
     assert first.median == pytest.approx(1.0)
 
 
-def test_pixels_without_the_panels_light_do_not_count():
+def test_pixels_without_the_panels_light_do_not_count() -> None:
     images = list(photographs({}))
     for image in images:
         image[20:] = 10 + (image[20:] > 100) * 12  # darker surroundings, in which everything is too coarse to tell
@@ -63,6 +68,6 @@ def test_pixels_without_the_panels_light_do_not_count():
     assert [bit.unsure_share for bit in bit_strengths(images, Named())] == [0.0, 0.0, 0.0]
 
 
-def test_a_photograph_too_few_is_refused():
+def test_a_photograph_too_few_is_refused() -> None:
     with pytest.raises(BadInputError, match="'v bit 1 inverse'"):
         bit_strengths(list(photographs({}))[:-1], Named())

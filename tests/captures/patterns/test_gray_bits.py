@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.decoded import DecodeOptions
-from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
+from wlr_render.captures.patterns.gray_bits import GrayAxis, GrayReading, read_gray
 from wlr_render.captures.patterns.photometry import NoiseMeter, PhotographReader, read_light
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 AXIS = GrayAxis("u", 32)
 
 
-def read(lines):
+def read(lines: FloatArray) -> GrayReading:
     """Read photographs of one row, given as (pictures, pixels) grey values of the axis."""
     references = [np.full(lines.shape[1], 200), np.zeros(lines.shape[1])]
     photographs = [np.round(line)[None].astype(np.uint8) for line in (*references, *lines)]
@@ -19,25 +20,25 @@ def read(lines):
     return read_gray(AXIS, reader, light, NoiseMeter(light))
 
 
-def lines_of(cell):
+def lines_of(cell: IntArray) -> FloatArray:
     """(pictures, pixels) grey values of pixels that see one cell each."""
     return np.array([AXIS.line(index)[cell] for index in range(2 * AXIS.bits)]) / 255 * 200
 
 
-def seen(width, phase):
+def seen(width: float, phase: float) -> FloatArray:
     """(pictures, pixels) grey values of pixels of a width in cells, two cells apart."""
     centre = np.arange(4.0, 28.0, 2.0) + phase
     places = centre[:, None] + width * ((np.arange(60) + 0.5) / 60 - 0.5)
-    return lines_of(np.floor(places).astype(int)).mean(axis=-1)
+    return np.asarray(lines_of(np.floor(places).astype(int)).mean(axis=-1))
 
 
-def test_neighbouring_cells_differ_in_one_bit():
+def test_neighbouring_cells_differ_in_one_bit() -> None:
     lines = np.array([AXIS.line(index) for index in range(0, 2 * AXIS.bits, 2)])
     assert (np.count_nonzero(np.diff(lines.astype(int), axis=1), axis=0) == 1).all()
 
 
 @pytest.mark.parametrize("bit", range(1, 5))
-def test_evidence_is_the_faintest_bit_that_could_move_the_cell_by_more_than_one(bit):
+def test_evidence_is_the_faintest_bit_that_could_move_the_cell_by_more_than_one(bit: int) -> None:
     cell = np.arange(32)
     lines = lines_of(cell)
     place = 2 * (AXIS.bits - 1 - bit)
@@ -50,11 +51,11 @@ def test_evidence_is_the_faintest_bit_that_could_move_the_cell_by_more_than_one(
 
 
 @pytest.mark.parametrize(("width", "phase"), [(0.5, 0.2), (1.5, 0.0), (2.0, 0.0), (2.0, 0.5), (2.0, 1.0)])
-def test_cells_are_evident_up_to_two_a_pixel_in_any_phase(width, phase):
+def test_cells_are_evident_up_to_two_a_pixel_in_any_phase(width: float, phase: float) -> None:
     assert read(seen(width, phase)).evidence.min() > 0.95
 
 
-def test_the_offset_is_the_mean_of_the_cells_that_a_pixel_sees():
+def test_the_offset_is_the_mean_of_the_cells_that_a_pixel_sees() -> None:
     part = np.linspace(0, 1, 11)
     for left in range(31):
         lines = lines_of(np.array([left]))[:, 0][:, None] * (1 - part) + lines_of(np.array([left + 1])) * part

@@ -4,6 +4,9 @@ What differs: OpenCV keeps white and black apart from the pictures of the bits, 
 number of the panel pixel, where ours is a position with the pixel's centre at +0.5. Order and polarity are the same.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -19,12 +22,12 @@ pytestmark = [
 ]
 
 
-def opencv_decoder(panel):
+def opencv_decoder(panel: Panel):
     return cv2.structured_light.GrayCodePattern.create(panel.width_px, panel.height_px)
 
 
 @pytest.mark.parametrize("size", [(64, 32), (100, 75), (1920, 1080)])
-def test_pictures_are_the_same(size):
+def test_pictures_are_the_same(size: tuple[int, int]) -> None:
     pattern = GrayCode(Panel(*size))
     decoder = opencv_decoder(pattern.panel)
     done, pictures = decoder.generate()
@@ -35,7 +38,7 @@ def test_pictures_are_the_same(size):
         assert np.array_equal(pattern.image(index), picture)
 
 
-def test_decoded_numbers_agree(toy_camera):
+def test_decoded_numbers_agree(toy_camera: Callable[..., Any]) -> None:
     camera = toy_camera(Panel(221, 175), scale=1.3, black=20.0, white=180.0, noise=2.0)
     pattern = GrayCode(camera.panel)
     shown = list(camera.photographs(pattern))

@@ -1,9 +1,12 @@
+from typing import Any
+
 import numpy as np
 
 from wlr_render.captures.patterns.pixel_rejection import fit_planes
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 
-def slow(position, valid, row, column):
+def slow(position: FloatArray, valid: BoolArray, row: int, column: int) -> tuple[Any, Any]:
     """Least squares at one pixel by numpy: value, slopes, and the variance of the value per unit variance."""
     rows, values = [], []
     for y in range(max(row - 1, 0), min(row + 2, valid.shape[0])):
@@ -16,7 +19,7 @@ def slow(position, valid, row, column):
     return inverse @ design.T @ np.array(values), inverse[0, 0]
 
 
-def test_it_is_least_squares_at_every_valid_pixel():
+def test_it_is_least_squares_at_every_valid_pixel() -> None:
     rng = np.random.default_rng(2)
     position, valid = rng.normal(0, 5, (2, 12, 15)), rng.random((12, 15)) < 0.7
     fit = fit_planes(position, valid)
@@ -27,7 +30,7 @@ def test_it_is_least_squares_at_every_valid_pixel():
         np.testing.assert_allclose(fit.gain[row, column], gain, atol=1e-6)
 
 
-def test_what_is_not_valid_does_not_count():
+def test_what_is_not_valid_does_not_count() -> None:
     rng = np.random.default_rng(3)
     position, valid = rng.normal(0, 5, (2, 9, 9)), rng.random((9, 9)) < 0.6
     spoilt = np.where(valid, position, 1e6)

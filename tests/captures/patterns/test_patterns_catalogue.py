@@ -1,3 +1,5 @@
+from collections.abc import Mapping
+
 import pytest
 
 from wlr_render.captures.patterns.catalogue import PATTERNS, GrayFringes, make_pattern, pattern_keys
@@ -7,7 +9,7 @@ from wlr_render.mappings import Panel
 PANEL = Panel(64, 48)
 
 
-def test_names_and_their_numbers():
+def test_names_and_their_numbers() -> None:
     assert {name: pattern_keys(name) for name in PATTERNS} == {
         "gray": (),
         "fringes": ("period_px", "steps"),
@@ -27,6 +29,6 @@ def test_names_and_their_numbers():
         ("gray-fringes", {"period_px": 15}, "must be even"),
     ],
 )
-def test_what_makes_no_code_is_refused(name, numbers, hint):
+def test_what_makes_no_code_is_refused(name: str, numbers: Mapping[str, int], hint: str) -> None:
     with pytest.raises(BadInputError, match=hint):
         make_pattern(name, PANEL, **numbers)

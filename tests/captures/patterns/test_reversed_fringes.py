@@ -8,7 +8,7 @@ from wlr_render.captures.patterns.catalogue import GrayFringes
 from wlr_render.mappings import Panel
 
 
-def test_reversed_fringes_are_too_weak_to_be_read():
+def test_reversed_fringes_are_too_weak_to_be_read() -> None:
     code = GrayFringes(Panel(192, 128))
     width = 23  # panel pixels: 1.44 periods, of which a box leaves sin(1.44 pi) / (1.44 pi) = -0.22 of the contrast
     photographs = [cv2.blur(code.image(index), (width, 1)) for index in range(len(code.names()))]

@@ -1,24 +1,29 @@
 import json
 import re
 import shutil
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from browser import needs_browser, open_page
 from memo import memoised, shared_folder
+from present import narrowed, present
 
 import wlr_render as wlr
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.bench.bench_file import save_bench
 from wlr_render.bench.session_folder import save_session
 from wlr_render.bench.simulate_session import simulate as read_off
-from wlr_render.calibration.fit_eye import KindComparison
+from wlr_render.calibration.fit_eye import Calibration, KindComparison
 from wlr_render.calibration.fit_report import ErrorShare, FitReport, OneMore, Residuals
 from wlr_render.calibration.label_errors import LabelError
 from wlr_render.calibration.moved_captures import CaptureMotion, MotionAgreement
 from wlr_render.captures.capture_file import load_captures
 from wlr_render.captures.correspondences import Captures, select
+from wlr_render.captures.feature_captures import FeatureCaptures
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
@@ -29,11 +34,11 @@ from wlr_render.jobs.calibrate.calibrate import calibrate
 from wlr_render.jobs.calibrate.calibrate_device import simulate_captures
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions, FitOptions
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentence, fit_warnings
-from wlr_render.mappings import FieldOfView
+from wlr_render.mappings import Eye, FieldOfView
 from wlr_render.models.model_file import load_eye_model, load_eye_models
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.report.blocks import Plot
+from wlr_render.report.blocks import Plot, Report, ReportTable
 
 NORTHSTAR = load_device("northstar")
 SMALL = CalibrateOptions("birdbath28", viewpoints=12, noise_arcmin=0.0, seed=4)
@@ -45,7 +50,7 @@ TWO_EYES = replace(
 
 
 @pytest.fixture(scope="module")
-def calibrated(tmp_path_factory):
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Report]:
     """Folder of a calibration from 12 positions, where nobody writes, and its report."""
     shared = shared_folder(tmp_path_factory)
     folder = shared / "calibrated"
@@ -53,39 +58,41 @@ def calibrated(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def few(tmp_path_factory):
+def few(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Report]:
     """The same from 4 positions, with few terms."""
     folder = tmp_path_factory.mktemp("few")
     return folder, calibrate(replace(TWO_EYES, out=folder))
 
 
-def captures_of(calibrated):
+def captures_of(calibrated: tuple[Path, Report]) -> Captures:
     """The captures of a calibration."""
     return load_captures(calibrated[0] / "captures-right.npz")
 
 
-def thinned(captures):
+def thinned(captures: FeatureCaptures) -> FeatureCaptures:
     """Every fifth reading, which lie in all parts of the field: 525 are of each camera position."""
     return select(captures, np.arange(len(captures)) % 5 == 0)
 
 
-def truth_errors(report, column="rms"):
+def truth_errors(report: Report, column: str = "rms") -> dict[Any, Any]:
     table = report.tables[-1]
     return {row[0]: row[table.columns.index(column)] for row in table.rows}
 
 
-def table(report, title):
+def table(report: Report, title: str) -> list[Any]:
     (found,) = [each for each in report.tables if each.title == title]
     return [dict(zip(found.columns, row, strict=True)) for row in found.rows]
 
 
-def residual(report):
+def residual(report: Report):
     """Of the display, rms in arcminutes."""
     return table(report, "Fit")[0]["residual rms (arcmin)"]
 
 
 @pytest.mark.parametrize("kind", ["planar", "volumetric"])
-def test_noise_free_captures_of_an_image_that_the_model_can_hold_are_recovered(flat_image_headset, kind):
+def test_noise_free_captures_of_an_image_that_the_model_can_hold_are_recovered(
+    flat_image_headset: Eye, kind: str
+) -> None:
     captures = simulate_captures(flat_image_headset, replace(SMALL, fit=FitOptions(kind=kind)))
     fitted = wlr.calibrate(captures, kind, 2, 2).mappings
     rng = np.random.default_rng(8)
@@ -104,14 +111,14 @@ def test_noise_free_captures_of_an_image_that_the_model_can_hold_are_recovered(f
         assert mapping_error.see_through_error(fitted.see_through, world).backward_arcmin.max() < 0.05
 
 
-def test_written_files_are_read_back(calibrated):
+def test_written_files_are_read_back(calibrated: tuple[Path, Report]) -> None:
     folder, report = calibrated
     assert [path.name for path in report.files[:2]] == ["model.json", "captures-right.npz"]
     assert {path.name for path in report.files} == {path.name for path in folder.iterdir()}
     model = load_eye_model(folder / "model.json")
     assert (model.device, model.mappings.eye) == ("birdbath28", "right")
     captures = load_captures(folder / "captures-right.npz")
-    assert len(np.unique(captures.display.capture)) == 12
+    assert len(np.unique(present(captures.display).capture)) == 12
     record = json.loads((folder / "report.json").read_text())
     options = record["options"]
     assert (options["viewpoints"], options["noise_arcmin"], options["seed"]) == (12, 0.1, 4)
@@ -119,25 +126,26 @@ def test_written_files_are_read_back(calibrated):
     assert "Error against the traced device in the nominal field" in (folder / "report.md").read_text()
 
 
-def test_both_eyes_are_one_model_file_and_their_noise_is_not_mirrored(tmp_path):
+def test_both_eyes_are_one_model_file_and_their_noise_is_not_mirrored(tmp_path: Path) -> None:
     both = calibrate(replace(TWO_EYES, eye="both", out=tmp_path))
     assert [path.name for path in both.files[:3]] == ["model.json", "captures-left.npz", "captures-right.npz"]
     assert list(load_eye_models(tmp_path / "model.json")) == ["left", "right"]
     noise = []
     for eye in ("left", "right"):
         captures, truth = load_captures(tmp_path / f"captures-{eye}.npz").display, traced_eye(NORTHSTAR, eye)
+        assert captures is not None
         noise.append(captures.view_dir - truth.display.view_dir_of_pixel(captures.pixel, captures.viewpoint).value)
     rows = min(map(len, noise))
     upward = [each[:rows, 1] for each in noise]  # mirroring leaves y as it is
     assert abs(np.corrcoef(upward)[0, 1]) < 0.1
 
 
-def test_results_of_an_earlier_calibration_do_not_stand_beside_a_new_model(tmp_path):
+def test_results_of_an_earlier_calibration_do_not_stand_beside_a_new_model(tmp_path: Path) -> None:
     """Captures, station, pictures and models of primaries belong to the model that they were written with."""
     earlier = ["station-right.json", "coverage.png", "coverage-right.png", "decoding.png"]
     other = ["station-left.json", "captures-left.npz", "notes.txt"]
 
-    def run(calibrate, options):
+    def run(calibrate: Callable[..., Any], options: CalibrateOptions) -> set[Any]:
         for name in (*earlier, *other):
             (tmp_path / name).write_text("of an earlier calibration")
         if (tmp_path / "model.json").exists():  # of this eye alone
@@ -156,7 +164,7 @@ def test_results_of_an_earlier_calibration_do_not_stand_beside_a_new_model(tmp_p
     assert moved.exists()
 
 
-def test_a_second_eye_is_added_to_the_first_and_the_report_says_so(few, tmp_path):
+def test_a_second_eye_is_added_to_the_first_and_the_report_says_so(few: tuple[Path, Report], tmp_path: Path) -> None:
     assert not any("earlier run" in warning for warning in few[1].warnings)
     shutil.copytree(few[0], tmp_path, dirs_exist_ok=True)
     (right,) = json.loads((tmp_path / "model.json").read_text())["eyes"]
@@ -168,20 +176,20 @@ def test_a_second_eye_is_added_to_the_first_and_the_report_says_so(few, tmp_path
 
 
 @needs_browser
-def test_the_page_draws_its_plots(calibrated, tmp_path):
+def test_the_page_draws_its_plots(calibrated: tuple[Path, Report], tmp_path: Path) -> None:
     folder, report = calibrated
     page = open_page(folder / "report.html", tmp_path)
     assert page.console == []
     assert page.plots == sum(isinstance(block, Plot) for block in report.blocks) == 6
 
 
-def test_a_calibrated_eye_is_near_the_truth(calibrated):
+def test_a_calibrated_eye_is_near_the_truth(calibrated: tuple[Path, Report]) -> None:
     errors = truth_errors(calibrated[1])
     assert 0.01 < errors["direction of a pixel (arcmin)"] < 0.5
     assert 0.005 < errors["direction of a real point (arcmin)"] < 0.3
 
 
-def test_the_verdict_tells_the_nominal_field_from_the_whole_panel(calibrated):
+def test_the_verdict_tells_the_nominal_field_from_the_whole_panel(calibrated: tuple[Path, Report]) -> None:
     report = calibrated[1]
     field, panel = ({row[0]: row[1] for row in table.rows} for table in report.tables[-2:])
     field, panel = (each["direction of a pixel (arcmin)"] for each in (field, panel))
@@ -191,7 +199,7 @@ def test_the_verdict_tells_the_nominal_field_from_the_whole_panel(calibrated):
     assert field < panel
 
 
-def test_stage_error_spoils_the_calibration_by_its_pupil_swim(tmp_path):
+def test_stage_error_spoils_the_calibration_by_its_pupil_swim(tmp_path: Path) -> None:
     few_terms = replace(SMALL, noise_arcmin=0.1, fit=FitOptions(degree=4, see_through_degree=2))
     spoiled = calibrate(replace(few_terms, repeatability_um=300.0, out=tmp_path))
     # Of an exact stage it is less than half an arcminute, see above. 0.3 mm per axis at 6.3 arcmin per mm; twelve
@@ -199,7 +207,7 @@ def test_stage_error_spoils_the_calibration_by_its_pupil_swim(tmp_path):
     assert 0.5 < truth_errors(spoiled)["direction of a pixel (arcmin)"] < 10.0
 
 
-def test_captures_fit_to_the_model_that_they_were_simulated_for(few, tmp_path):
+def test_captures_fit_to_the_model_that_they_were_simulated_for(few: tuple[Path, Report], tmp_path: Path) -> None:
     folder, report = few
     options = CalibrateOptions(folder / "captures-right.npz", fit=TWO_EYES.fit, out=tmp_path)
     again = calibrate(options)
@@ -207,7 +215,7 @@ def test_captures_fit_to_the_model_that_they_were_simulated_for(few, tmp_path):
     assert (tmp_path / "model.json").read_text() == (folder / "model.json").read_text()
 
 
-def test_predicted_errors_stand_beside_the_true_ones(calibrated):
+def test_predicted_errors_stand_beside_the_true_ones(calibrated: tuple[Path, Report]) -> None:
     folder, report = calibrated
     model = load_eye_model(folder / "model.json").mappings
     tests = TruthTests.of(traced_eye(load_device("birdbath28")), [SMALL.seed, 1])
@@ -223,7 +231,7 @@ def test_predicted_errors_stand_beside_the_true_ones(calibrated):
         assert 0.3 < predicted[name] / truth_errors(report)[name] < 10.0  # twelve positions say little of a stage
 
 
-def test_the_sentence_tells_what_the_fit_found(calibrated):
+def test_the_sentence_tells_what_the_fit_found(calibrated: tuple[Path, Report]) -> None:
     report = calibrated[1]
     display, see_through = table(report, "Fit")
     for found, name in ((display, "display"), (see_through, "see-through")):
@@ -236,7 +244,7 @@ def test_the_sentence_tells_what_the_fit_found(calibrated):
     assert "see-through 0.0" in report.verdict
 
 
-def test_held_out_rows_and_columns_stand_beside_what_is_expected(calibrated):
+def test_held_out_rows_and_columns_stand_beside_what_is_expected(calibrated: tuple[Path, Report]) -> None:
     rows = table(calibrated[1], "Held-out camera positions")
     assert {row["mapping"] for row in rows} == {"display", "see-through"}
     assert {"row 1 of 3", "column 3 of 3"} <= {row["left out"] for row in rows}
@@ -244,13 +252,13 @@ def test_held_out_rows_and_columns_stand_beside_what_is_expected(calibrated):
     assert any(note.startswith("Display: left-out positions are predicted to") for note in held_out.notes)
 
 
-def test_residuals_by_label_show_nothing_on_a_sound_session(calibrated):
+def test_residuals_by_label_show_nothing_on_a_sound_session(calibrated: tuple[Path, Report]) -> None:
     rows = table(calibrated[1], "Errors by label")
     assert {"cell of the panel", "cell of the field", "visit"} <= {row["label"] for row in rows}
     assert all(float(row["log10 odds"]) < 0 for row in rows)
 
 
-def test_few_positions_are_fitted_and_the_report_says_what_one_more_row_brings(few):
+def test_few_positions_are_fitted_and_the_report_says_what_one_more_row_brings(few: tuple[Path, Report]) -> None:
     rows = table(few[1], "Gain of one more row of positions")
     assert rows
     for row in rows:
@@ -258,7 +266,7 @@ def test_few_positions_are_fitted_and_the_report_says_what_one_more_row_brings(f
         assert "camera positions at" in row["positions to add"]
 
 
-def test_maps_of_the_predicted_error_cover_the_panel(calibrated):
+def test_maps_of_the_predicted_error_cover_the_panel(calibrated: tuple[Path, Report]) -> None:
     maps = [block for block in calibrated[1].blocks if isinstance(block, Plot) and "Predicted error" in block.title]
     centre, corner = maps
     assert "centre" in centre.title
@@ -274,7 +282,7 @@ def test_maps_of_the_predicted_error_cover_the_panel(calibrated):
 
 
 @pytest.fixture(scope="module")
-def linear():
+def linear() -> tuple[Calibration, FitReport]:
     """A fit of degree 1 and a report of it in which nothing is wrong."""
     captures = simulate_captures(traced_eye(load_device("birdbath28")), SMALL)
     fit = wlr.calibrate(captures, "planar", 1, 1)
@@ -303,15 +311,17 @@ def linear():
     return fit, good
 
 
-def with_report(linear, **changes):
+def with_report(linear: tuple[Calibration, FitReport], **changes: Any) -> Calibration:
     """The fit with another report of the display."""
     fit, good = linear
-    display, see_through = replace(fit.display), replace(fit.see_through)
+    display, see_through = replace(present(fit.display)), replace(present(fit.see_through))
     display.__dict__["report"], see_through.__dict__["report"] = replace(good, **changes), good
     return replace(fit, display=display, see_through=see_through)
 
 
-def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found(linear):
+def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found(
+    linear: tuple[Calibration, FitReport],
+) -> None:
     fit = with_report(linear)
     assert fit_warnings(fit) == fit_advice(fit) == []
     side = "0.12' predicted rms (noise 0.250' found, 0.25' stated; repeatability 9.0 um, wobble 25 urad)"
@@ -326,13 +336,13 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
         in fit_sentence(stated)
     )
     assert fit_warnings(stated) == []
-    captures = Captures(stated.display.captures, stated.see_through.captures)
+    captures = Captures(present(stated.display).captures, present(stated.see_through).captures)
     (table,) = (
         block
         for block in fit_blocks(KindComparison({"planar": stated}, "planar"), captures)
         if block.title == "Motion of the camera"
     )
-    assert table.rows[0] == ["display", "shift (um)", pytest.approx(5.1), 9.0, 0.92, 0.3]
+    assert narrowed(table, ReportTable).rows[0] == ["display", "shift (um)", pytest.approx(5.1), 9.0, 0.92, 0.3]
     late = with_report(linear, labels=(LabelError("time", 6, 7.1, 7.8, 0.177, 0.092, 0.08),))
     assert "wobble 25 urad; errors by time 0.18');" in fit_sentence(late)
     exact = with_report(linear, stated_noise_arcmin=None, repeatability_um=0.0, wobble_urad=0.0)
@@ -397,11 +407,13 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
         ),
     ],
 )
-def test_what_is_wrong_is_told_in_a_sentence(linear, changes, warning):
+def test_what_is_wrong_is_told_in_a_sentence(
+    linear: tuple[Calibration, FitReport], changes: dict[str, Any], warning: str
+) -> None:
     assert fit_warnings(with_report(linear, **changes), [f"set {number}" for number in range(12)]) == [warning]
 
 
-def test_a_row_of_positions_is_advised_where_it_pays(linear):
+def test_a_row_of_positions_is_advised_where_it_pays(linear: tuple[Calibration, FitReport]) -> None:
     fit = with_report(linear, one_more=OneMore("a row of 5 camera positions at y = +4.0 mm", 0.1))
     (advice,) = fit_advice(fit)
     assert advice == (
@@ -409,7 +421,7 @@ def test_a_row_of_positions_is_advised_where_it_pays(linear):
     )
 
 
-def test_the_largest_source_of_the_predicted_error_is_advised_against(linear):
+def test_the_largest_source_of_the_predicted_error_is_advised_against(linear: tuple[Calibration, FitReport]) -> None:
     board = ErrorShare("printing errors of the board", 0.1, 4.8e-5, 5e-5, "m")
     own, drift = ErrorShare("noise and stage", 0.05), ErrorShare("drift", 0.04, 0.1, 0.1, "arcmin")
     fit = with_report(linear, shares=(board, own, drift), unseen=("heat (thermometers)",))
@@ -417,17 +429,19 @@ def test_the_largest_source_of_the_predicted_error_is_advised_against(linear):
         "Display: 0.10' of the predicted 0.12' come from printing errors of the board (48 um in the fit, usually 50 "
         "um). Print the board on glass, measure its dots, or turn it by 90 degrees at one pose."
     ]
-    captures = Captures(fit.display.captures, fit.see_through.captures)
+    captures = Captures(present(fit.display).captures, present(fit.see_through).captures)
     blocks = fit_blocks(KindComparison({"planar": fit}, "planar"), captures)
     (shares,) = (block for block in blocks if block.title == "Predicted error by source")
-    assert shares.rows[2] == ["display", "drift", 0.04, "0.10'", "0.10'"]
+    assert narrowed(shares, ReportTable).rows[2] == ["display", "drift", 0.04, "0.10'", "0.10'"]
     assert shares.notes[1] == (
         "Display: the predicted error does not contain the following errors, because the captures lack the data in "
         "brackets: heat (thermometers)."
     )
 
 
-def test_a_prescription_is_compared_with_no_prescription_and_the_best_kind_is_saved(calibrated, tmp_path):
+def test_a_prescription_is_compared_with_no_prescription_and_the_best_kind_is_saved(
+    calibrated: tuple[Path, Report], tmp_path: Path
+) -> None:
     few = Captures(*(thinned(each) for each in captures_of(calibrated).both)).save(tmp_path / "few.npz")
     fit = FitOptions(prescription="birdbath28")
     again = calibrate(CalibrateOptions(few, fit=fit, out=tmp_path))
@@ -445,7 +459,7 @@ def test_a_prescription_is_compared_with_no_prescription_and_the_best_kind_is_sa
     assert load_eye_model(tmp_path / "model.json").mappings.display.sigma(pixel, viewpoint) > 0
 
 
-def test_a_prescription_without_the_eye_is_refused(calibrated, tmp_path):
+def test_a_prescription_without_the_eye_is_refused(calibrated: tuple[Path, Report], tmp_path: Path) -> None:
     folder, _ = calibrated
     one_eyed = tmp_path / "left.toml"
     text = device_path("birdbath28").read_text()
@@ -467,7 +481,9 @@ def test_a_prescription_without_the_eye_is_refused(calibrated, tmp_path):
         (["--bench", "bench.toml"], "--bench is used with a bench session only, and birdbath28 is a device"),
     ],
 )
-def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys):
+def test_wrong_options_are_refused_in_one_line(
+    wrong: Sequence[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["calibrate", "birdbath28", *wrong, "--out", str(tmp_path / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert sentence in line
@@ -475,7 +491,9 @@ def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys
 
 
 @pytest.mark.parametrize("side", ["display", "see_through"])
-def test_captures_of_one_side_alone_are_calibrated_and_their_model_is_not_rendered(calibrated, tmp_path, side, capsys):
+def test_captures_of_one_side_alone_are_calibrated_and_their_model_is_not_rendered(
+    calibrated: tuple[Path, Report], tmp_path: Path, side: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     both, fit = captures_of(calibrated), FitOptions(degree=3, see_through_degree=2)
     alone = Captures(both.display) if side == "display" else Captures(None, both.see_through)
     path = alone.save(tmp_path / "alone.npz")
@@ -490,7 +508,7 @@ def test_captures_of_one_side_alone_are_calibrated_and_their_model_is_not_render
 
 
 @pytest.fixture(scope="module")
-def night(tmp_path_factory):
+def night(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Folder of a session of northstar whose stage went further than it said, and file of the bench as it was."""
     folder = tmp_path_factory.mktemp("night")
     camera = EyeballCamera(np.array([1280.0, 1024.0]), np.array([1350.0, 1350.0]), np.array([640.5, 512.5]), 0.1)
@@ -515,7 +533,7 @@ def night(tmp_path_factory):
     return folder / "session", save_bench(true, folder / "true.toml")
 
 
-def display_error(model):
+def display_error(model: Eye):
     """Of a model against northstar as it is, rms in arcminutes, well inside the fit."""
     truth = traced_eye(load_device("northstar"))
     viewpoint = truth.eye_box.at(np.random.default_rng(3).uniform(-0.4, 0.4, (20, 1, 3)) * [1, 1, 0])
@@ -524,7 +542,7 @@ def display_error(model):
     return np.sqrt(np.mean(mapping_error.display_error(model.display, seen).forward_arcmin ** 2))
 
 
-def test_a_session_is_calibrated_by_the_bench_that_is_believed(night, tmp_path):
+def test_a_session_is_calibrated_by_the_bench_that_is_believed(night: tuple[Path, Path], tmp_path: Path) -> None:
     session, bench = night
     options = CalibrateOptions(session, fit=FitOptions(degree=3, see_through_degree=2))
     believed = calibrate(replace(options, out=tmp_path / "believed"))
@@ -536,7 +554,7 @@ def test_a_session_is_calibrated_by_the_bench_that_is_believed(night, tmp_path):
     assert residual(believed) < 1.1 * residual(extended)
 
 
-def test_a_bench_of_another_headset_is_refused(night, tmp_path):
+def test_a_bench_of_another_headset_is_refused(night: tuple[Path, Path], tmp_path: Path) -> None:
     session, bench = night
     other = tmp_path / "other.toml"
     other.write_text(bench.read_text().replace('"northstar"', '"freeform40"'))
@@ -544,7 +562,7 @@ def test_a_bench_of_another_headset_is_refused(night, tmp_path):
         calibrate(CalibrateOptions(session, bench=other, out=tmp_path))
 
 
-def test_target_poses_are_the_sessions_whatever_a_bench_states(night, tmp_path):
+def test_target_poses_are_the_sessions_whatever_a_bench_states(night: tuple[Path, Path], tmp_path: Path) -> None:
     session, bench = night
     other = tmp_path / "other.toml"
     other.write_text(bench.read_text().rsplit("[[target_pose]]", 1)[0])
@@ -560,7 +578,9 @@ def test_target_poses_are_the_sessions_whatever_a_bench_states(night, tmp_path):
     np.testing.assert_allclose(*seen, atol=1e-15)
 
 
-def test_a_bench_beside_a_capture_file_is_refused(calibrated, night, tmp_path):
+def test_a_bench_beside_a_capture_file_is_refused(
+    calibrated: tuple[Path, Report], night: tuple[Path, Path], tmp_path: Path
+) -> None:
     folder, _ = calibrated
     with pytest.raises(
         BadInputError, match=r"--bench is used with a bench session only, and \S*captures-right\.npz is a capture file"

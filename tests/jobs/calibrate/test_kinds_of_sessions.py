@@ -1,17 +1,20 @@
 """Sessions of other kinds than the usual one, from readings to report: one mapping, both eyes, primaries, one axis."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from present import narrowed, present
 from small_photo_session import with_stated_lenses
 
-from benchmarks.simulated_lab.simulate_readings import simulate_readings
-from wlr_render.calibration.calibrate_session import calibrate_session
+from benchmarks.simulated_lab.simulate_readings import SimulatedReadings, simulate_readings
+from wlr_render.calibration.calibrate_session import SessionCalibration, calibrate_session
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.poses import motion_between
-from wlr_render.captures.photo_session import SessionPanel, StageAxis, StageDescription
+from wlr_render.captures.photo_session import CodeSet, PhotoSession, SessionPanel, StageAxis, StageDescription
 from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -21,6 +24,7 @@ from wlr_render.jobs.calibrate.photos import report_of
 from wlr_render.models.model_file import load_eye_model, load_eye_models
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.planning.planned_bench import ReadingOptions
+from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
@@ -32,37 +36,37 @@ FIT = FitOptions(degree=3, see_through_degree=2)
 FEW = ReadingOptions(most_dots=40, panel_samples=80)
 
 
-def simulated(**bench):
+def simulated(**bench: Any) -> SimulatedReadings:
     return simulate_readings(SimulationRecipe("birdbath28", viewpoints=9, bench=PhotoBenchOptions(**bench)), FEW)
 
 
-def with_known_lenses(made):
+def with_known_lenses(made: SimulatedReadings) -> PhotoSession:
     """The session with both cameras calibrated before: no board is photographed for them, and none of it is fitted."""
     bench, session = made.truth.bench, made.session
-    cameras = {
+    cameras: dict[str, Any] = {
         "eyeball_camera": replace(session.eyeball_camera, intrinsics=(), calibrated=bench.eyeball.camera),
-        "tracking_camera": replace(session.tracking_camera, intrinsics=(), calibrated=bench.tracking.camera),
+        "tracking_camera": replace(present(session.tracking_camera), intrinsics=(), calibrated=bench.tracking.camera),
     }
     return replace(session, **cameras)
 
 
 @pytest.fixture(scope="module")
-def usual():
+def usual() -> SimulatedReadings:
     made = simulated()
     return replace(made, session=with_known_lenses(made))
 
 
-def calibrated(session, reading, folder):
+def calibrated(session: PhotoSession, reading: Reading, folder: Path) -> tuple[SessionCalibration, Report]:
     found = calibrate_session(session, reading, folder, FIT.fit)
     return found, report_of(found, CalibrateOptions(str(session.folder), fit=FIT, out=folder))
 
 
-def rows_of(report, title):
+def rows_of(report: Report, title: str) -> dict[Any, Any]:
     (table,) = (block for block in report.blocks if getattr(block, "title", "") == title)
-    return {row[0]: row[1:] for row in table.rows}
+    return {row[0]: row[1:] for row in narrowed(table, ReportTable).rows}
 
 
-def assert_poses(found, entries, places):
+def assert_poses(found: SessionCalibration, entries: tuple[CodeSet, ...], places: Sequence[Any]) -> None:
     off = [
         motion_between(found.bench.camera_pose(each).b_from_a, true) for each, true in zip(entries, places, strict=True)
     ]
@@ -70,7 +74,7 @@ def assert_poses(found, entries, places):
     assert np.sqrt(np.mean(np.square(np.array(off) / sigma))) < 2.0
 
 
-def test_see_through_alone(usual, tmp_path):
+def test_see_through_alone(usual: SimulatedReadings, tmp_path: Path) -> None:
     session = replace(usual.session, display=())
     found, report = calibrated(session, usual.reading, tmp_path)
     assert found.eyes["right"].captures.display is None
@@ -81,7 +85,7 @@ def test_see_through_alone(usual, tmp_path):
 
 
 @pytest.mark.parametrize("known_lens", [False, True])
-def test_display_alone_in_the_frame_of_the_camera(usual, tmp_path, known_lens):
+def test_display_alone_in_the_frame_of_the_camera(usual: SimulatedReadings, tmp_path: Path, known_lens: bool) -> None:
     bench, stated_lens = usual.truth.bench, with_stated_lenses(simulated().session).eyeball_camera
     gauge = transforms.OPENXR_FROM_OPENCV @ bench.device_from_camera[:3, :3].T
     axes = tuple(StageAxis("linear", gauge @ (axis / np.linalg.norm(axis)), 5e-3) for axis in bench.stage_axes.T)
@@ -107,10 +111,10 @@ def test_display_alone_in_the_frame_of_the_camera(usual, tmp_path, known_lens):
     assert_poses(found, session.display, true)
 
 
-def test_both_eyes_have_one_bench_and_their_alignment_is_stated(usual, tmp_path):
+def test_both_eyes_have_one_bench_and_their_alignment_is_stated(usual: SimulatedReadings, tmp_path: Path) -> None:
     """The left eye is the right one photographed again: both displays agree within what is stated."""
 
-    def of_left(path):
+    def of_left(path: Path):
         return path.with_name(f"left_{path.name}")
 
     one, box = usual.session, usual.session.eye_box
@@ -138,7 +142,7 @@ def test_both_eyes_have_one_bench_and_their_alignment_is_stated(usual, tmp_path)
     assert alignment["position along x (mm)"][1] < 0.05
 
 
-def test_every_primary_has_its_display_model(usual, tmp_path):
+def test_every_primary_has_its_display_model(usual: SimulatedReadings, tmp_path: Path) -> None:
     offsets = {"red": np.array([-0.333, 0.0]), "blue": np.array([0.333, 0.0])}
     one = usual.session
     colours = ("red", "green", "blue")
@@ -165,10 +169,10 @@ def test_every_primary_has_its_display_model(usual, tmp_path):
     seen = {colour: model.display.view_dir_of_pixel(pixel, eye).value for colour, model in models.items()}
     assert arcmin_between(seen["blue"], seen["green"]).max() < 0.02  # a third of a pixel is 0.4'
     assert arcmin_between(seen["red"], seen["green"]).min() > 0.3
-    assert len(found.eyes["right"].captures.display) * 3 == sum(len(each.samples) for each in panels.values())
+    assert len(present(found.eyes["right"].captures.display)) * 3 == sum(len(each.samples) for each in panels.values())
 
 
-def test_a_stage_of_one_axis(tmp_path):
+def test_a_stage_of_one_axis(tmp_path: Path) -> None:
     """No kind of lens is stated for the eyeball camera, so that it is chosen."""
     made = simulated(stage="x")
     eyeball = replace(with_stated_lenses(made.session).eyeball_camera, lens="auto")
@@ -178,14 +182,14 @@ def test_a_stage_of_one_axis(tmp_path):
     assert any("add a column of" in step for step in report.advice)
 
 
-def test_a_camera_in_the_hand(tmp_path):
+def test_a_camera_in_the_hand(tmp_path: Path) -> None:
     made = simulated(stage="hand", target_depths_m=(0.3, 0.5))
     found = calibrate_session(with_known_lenses(made), made.reading, tmp_path, FIT.fit)
     assert_poses(found, made.session.display, made.truth.display)
     assert found.all_excluded == []
 
 
-def test_positions_in_the_eye_box_are_fitted_as_a_volume_and_as_a_plane(tmp_path):
+def test_positions_in_the_eye_box_are_fitted_as_a_volume_and_as_a_plane(tmp_path: Path) -> None:
     """Judged off the middle plane, by the exact optics; the extrinsics alone turn every direction by some 0.4'."""
     sizes = replace(BenchImperfections(), extrinsics_mm=0.02, extrinsics_deg=0.005)
     bench = PhotoBenchOptions(camera_px=(640, 512), sampling="volumetric", imperfections=sizes)
@@ -195,6 +199,7 @@ def test_positions_in_the_eye_box_are_fitted_as_a_volume_and_as_a_plane(tmp_path
     found = calibrate_session(
         session, made.reading, tmp_path, FitOptions(kind="volumetric", degree=5, see_through_degree=2).fit
     ).eyes["right"]
+    assert found.captures.display is not None
     assert np.ptp(found.captures.display.viewpoint[:, 2]) > 0.9 * session.eye_box.size[2]
     truth = traced_eye(made.truth.bench.device, "right")
     viewpoint = random_in_eye_box(truth.eye_box, 20, np.random.default_rng(1))[:, None]

@@ -3,13 +3,17 @@
 import json
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from small_photo_session import BLACK, blown_out
+from present import present
+from small_photo_session import BLACK, SmallSession, blown_out
 
 from wlr_render.calibration.bench.calibrate_bench import calibrate_bench
+from wlr_render.calibration.calibrate_session import SessionCalibration
 from wlr_render.calibration.photograph_captures import sound_captures
 from wlr_render.calibration.poses import motion_between
 from wlr_render.captures.boards.board_design import design_board
@@ -17,6 +21,7 @@ from wlr_render.captures.boards.board_file import save_board
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
+from wlr_render.report.blocks import Report
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
 
@@ -25,7 +30,9 @@ SET = "display/01"
 RESULTS = ("model.json", "captures-right.npz", "station-right.json", "report.html")
 
 
-def command_line(session, capsys, *options):
+def command_line(
+    session: SmallSession, capsys: pytest.CaptureFixture[str], *options: object
+) -> tuple[int, str, list[str]]:
     """Exit status, tables and complaints, without the progress bar, of a calibration that has no results yet."""
     for name in RESULTS:
         (session.out / name).unlink()
@@ -45,7 +52,7 @@ FAILED = {
 }
 
 
-def photographs_that_failed(session):
+def photographs_that_failed(session: SmallSession) -> None:
     """Nothing can be read from them, which is no fault of the session."""
     session.cut_short("bare/pose0_01.png")
     session.repaint("intrinsics/eyeball/03.png", blown_out)
@@ -53,7 +60,7 @@ def photographs_that_failed(session):
 
 
 @pytest.mark.parametrize("spoil", [BLACK, blown_out])
-def test_it_is_no_fault_of_the_session(photo_session, spoil):
+def test_it_is_no_fault_of_the_session(photo_session: SmallSession, spoil: Callable[..., Any]) -> None:
     photo_session.repaint(SEEN, spoil)
     assert [(each.name, each.fault) for each in photo_session.read().excluded] == [(SEEN, False)]
 
@@ -61,20 +68,20 @@ def test_it_is_no_fault_of_the_session(photo_session, spoil):
 # The session is not what session.toml says: named, exit status 2, and everything else calibrated.
 
 
-def without_a_board(session):
+def without_a_board(session) -> None:
     os.remove(session.folder / SEEN)
     os.link(session.folder / SET / "000_white.png", session.folder / SEEN)
 
 
-def another_size(session):
+def another_size(session) -> None:
     session.repaint(SEEN, lambda image: image[:200])
 
 
-def missing(session):
+def missing(session: SmallSession) -> None:
     os.remove(session.folder / SEEN)
 
 
-def a_pipe(session):
+def a_pipe(session) -> None:
     """In place of a photograph that an earlier run has read, which nobody writes into."""
     session.read()
     os.remove(session.folder / SEEN)
@@ -90,7 +97,9 @@ def a_pipe(session):
         pytest.param(a_pipe, "is a pipe", marks=pytest.mark.skipif(os.name == "nt", reason="makes a pipe")),
     ],
 )
-def test_a_board_photograph_that_is_not_what_it_should_be_is_a_fault(photo_session, spoil, reason):
+def test_a_board_photograph_that_is_not_what_it_should_be_is_a_fault(
+    photo_session: SmallSession, spoil: Callable[..., Any], reason: str
+) -> None:
     spoil(photo_session)
     found = photo_session.read()
     (aside,) = found.excluded
@@ -99,26 +108,26 @@ def test_a_board_photograph_that_is_not_what_it_should_be_is_a_fault(photo_sessi
     assert len(found.boards) == 47
 
 
-def paths(session):
+def paths(session: SmallSession) -> list[Any]:
     return sorted((session.folder / SET).iterdir())
 
 
-def each_of_the_set(session, paint):
+def each_of_the_set(session, paint: Callable[..., Any]) -> None:
     for path in paths(session):
         session.repaint(path.relative_to(session.folder), paint)
 
 
-def no_picture_left(session):
+def no_picture_left(session) -> None:
     for path in paths(session):
         path.unlink()
 
 
-def one_too_many(session):
+def one_too_many(session) -> None:
     os.link(paths(session)[-1], session.folder / SET / "999.png")
 
 
-def swapped(first, second):
-    def spoil(session):
+def swapped(first: int, second: int) -> Callable[[Any], None]:
+    def spoil(session) -> None:
         found = paths(session)
         session.swap(found[first].relative_to(session.folder), found[second].relative_to(session.folder))
 
@@ -149,7 +158,7 @@ SET_FAULTS = {
 
 
 @pytest.mark.parametrize("place", [0, 5, -1])
-def test_a_panel_set_is_read_without_one_of_its_photographs(photo_session, place):
+def test_a_panel_set_is_read_without_one_of_its_photographs(photo_session: SmallSession, place: int) -> None:
     missing = paths(photo_session)[place]
     missing.unlink()
     found = photo_session.read()
@@ -159,7 +168,7 @@ def test_a_panel_set_is_read_without_one_of_its_photographs(photo_session, place
 
 
 @pytest.mark.parametrize("fault", SET_FAULTS)
-def test_a_panel_set_that_is_not_what_it_should_be_is_a_fault(photo_session, fault):
+def test_a_panel_set_that_is_not_what_it_should_be_is_a_fault(photo_session: SmallSession, fault: str) -> None:
     spoil, reason = SET_FAULTS[fault]
     spoil(photo_session)
     found = photo_session.read()
@@ -170,7 +179,9 @@ def test_a_panel_set_that_is_not_what_it_should_be_is_a_fault(photo_session, fau
     assert len(found.panels) == 3
 
 
-def test_faults_end_with_status_2_after_everything_else_is_done(photo_session, capsys):
+def test_faults_end_with_status_2_after_everything_else_is_done(
+    photo_session: SmallSession, capsys: pytest.CaptureFixture[str]
+) -> None:
     photographs_that_failed(photo_session)
     missing(photo_session)
     swapped(0, 1)(photo_session)
@@ -200,7 +211,7 @@ def test_faults_end_with_status_2_after_everything_else_is_done(photo_session, c
 # Steps that contradict each other.
 
 
-def test_a_photograph_at_another_stage_reading_than_it_says_is_named_and_left_out(photo_session):
+def test_a_photograph_at_another_stage_reading_than_it_says_is_named_and_left_out(photo_session: SmallSession) -> None:
     photo_session.edit(lambda content: content["bare"][2]["stage_mm"].__setitem__(0, 7.0))
     session = load_photo_session(photo_session.folder)
     bench = calibrate_bench(session, photo_session.read())
@@ -209,20 +220,22 @@ def test_a_photograph_at_another_stage_reading_than_it_says_is_named_and_left_ou
     assert "or its stage reading is another; the photograph was rejected" in off.sentence
     assert [(each.name, each.fault) for each in bench.rejected] == [("bare/pose0_02.png", True)]
     first = session.display[0]
-    motion = motion_between(photo_session.bench.camera_at(first.stage), bench.device_from_camera(first))
+    motion = motion_between(photo_session.bench.camera_at(present(first.stage)), bench.device_from_camera(first))
     assert np.linalg.norm(motion[3:]) < 1e-3
 
 
-def kept(session):
+def kept(session: SmallSession) -> dict[Any, Any]:
     return {path.name: path.stat().st_mtime_ns for path in (session.out / "read").iterdir()}
 
 
-def other_target_pose(session):
+def other_target_pose(session: SmallSession) -> None:
     os.remove(session.folder / "tracking/pose0_before.png")
     os.link(session.folder / "tracking/pose1_before.png", session.folder / "tracking/pose0_before.png")
 
 
-def test_a_refused_run_leaves_no_results_of_an_earlier_one(photo_session, capsys):
+def test_a_refused_run_leaves_no_results_of_an_earlier_one(
+    photo_session: SmallSession, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The bench as it was found, and the report of it, stay for the user to look at; they are this run's."""
     other_target_pose(photo_session)
     before, readings = (photo_session.out / "station-right.json").stat().st_mtime_ns, kept(photo_session)
@@ -247,7 +260,9 @@ def test_a_refused_run_leaves_no_results_of_an_earlier_one(photo_session, capsys
     assert not all(check["ok"] for check in record["checks"])
 
 
-def test_cameras_far_from_the_eye_box_are_refused(calibrated_session):
+def test_cameras_far_from_the_eye_box_are_refused(
+    calibrated_session: tuple[SmallSession, SessionCalibration, Report],
+) -> None:
     """As where the tracking camera is placed wrongly, or the frame is another than the file states."""
     _, found, _ = calibrated_session
     own = found.session.for_eye("right")
@@ -262,7 +277,7 @@ def test_cameras_far_from_the_eye_box_are_refused(calibrated_session):
 # What session.toml may not say.
 
 
-def in_metres(content):
+def in_metres(content) -> None:
     for name in ("bare", "see_through", "display"):
         for item in content[name]:
             item["stage_mm"] = [value / 1000 for value in item["stage_mm"]]
@@ -287,7 +302,9 @@ def in_metres(content):
         (lambda content: content.update(tracking=[]), "'tracking' is empty"),
     ],
 )
-def test_a_session_file_with_a_fault_is_refused_in_one_sentence(photo_session, capsys, change, complaint):
+def test_a_session_file_with_a_fault_is_refused_in_one_sentence(
+    photo_session: SmallSession, capsys: pytest.CaptureFixture[str], change: Callable[..., Any], complaint: str
+) -> None:
     photo_session.edit(change)
     before = kept(photo_session)
     status, _, err = command_line(photo_session, capsys)
@@ -297,7 +314,7 @@ def test_a_session_file_with_a_fault_is_refused_in_one_sentence(photo_session, c
     assert kept(photo_session).keys() == before.keys()
 
 
-def test_a_long_list_of_what_was_excluded_is_in_the_report(photo_session):
+def test_a_long_list_of_what_was_excluded_is_in_the_report(photo_session: SmallSession) -> None:
     (photo_session.folder / "board.toml").unlink()
     save_board(design_board(16, 8, 0.041, seed=7), photo_session.folder / "board.toml")
     for path in photo_session.folder.glob("intrinsics/tracking/*"):
@@ -314,7 +331,7 @@ def test_a_long_list_of_what_was_excluded_is_in_the_report(photo_session):
     assert len(excluded) == 19
 
 
-def test_photographs_of_the_lens_that_are_not_there(photo_session):
+def test_photographs_of_the_lens_that_are_not_there(photo_session: SmallSession) -> None:
     folder = photo_session.folder / "intrinsics" / "eyeball"
     for path in folder.iterdir():
         path.unlink()

@@ -1,6 +1,7 @@
 """A folder of code photographs, from files to tables, pictures and positions."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from wlr_render.mappings import Panel
 
 
 @pytest.fixture
-def photographed(tmp_path):
+def photographed(tmp_path: Path) -> tuple[Path, GrayCode]:
     """The panel itself, as a camera with its very pixels would see it, and what it shows."""
     pattern = GrayCode(Panel(96, 64))
     folder = tmp_path / "photographs"
@@ -23,7 +24,7 @@ def photographed(tmp_path):
     return folder, pattern
 
 
-def test_positions_tables_and_pictures_are_written(photographed, tmp_path):
+def test_positions_tables_and_pictures_are_written(photographed: tuple[Path, GrayCode], tmp_path: Path) -> None:
     folder, pattern = photographed
     result = decode(DecodeVerbOptions(folder, panel=(96, 64), pattern="gray", out=tmp_path / "out"))
     assert all(path.stat().st_size > 100 for path in result.files)
@@ -39,7 +40,7 @@ def test_positions_tables_and_pictures_are_written(photographed, tmp_path):
     assert surface["rms per axis (px)"] < 0.01
 
 
-def test_photographs_of_another_panel_are_refused(photographed, tmp_path):
+def test_photographs_of_another_panel_are_refused(photographed: tuple[Path, GrayCode], tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="photograph"):
         decode(DecodeVerbOptions(photographed[0], panel=(300, 64), pattern="gray", out=tmp_path / "out"))
     assert not (tmp_path / "out").exists()

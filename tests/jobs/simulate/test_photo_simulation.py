@@ -2,13 +2,17 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from small_photo_session import state_lenses
+from numpy.typing import NDArray
+from small_photo_session import SmallSession, state_lenses
 
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
+from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.recipe import load_recipe, save_recipe, values_of
 from wlr_render.simulation.photographs.simulate_photo_session import TakenPhotographs, simulate_photo_session
 from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, take
@@ -19,7 +23,7 @@ PANEL_SET = "display/02"
 LOST = ("see_through/pose1_02.png", "bare/pose0_03.png", f"{PANEL_SET}/001_black.png", "session.toml", "board.toml")
 
 
-def test_interrupted_work_goes_on_and_ends_as_if_it_had_not_been(photo_session):
+def test_interrupted_work_goes_on_and_ends_as_if_it_had_not_been(photo_session: SmallSession) -> None:
     folder = photo_session.folder
     before = {name: (folder / name).read_bytes() for name in LOST}
     kept = folder / PANEL_SET / "000_white.png"
@@ -38,13 +42,13 @@ def test_interrupted_work_goes_on_and_ends_as_if_it_had_not_been(photo_session):
     assert kept.stat().st_mtime_ns == untouched.st_mtime_ns
 
 
-def test_a_finished_session_is_left_as_it_is(photo_session):
+def test_a_finished_session_is_left_as_it_is(photo_session: SmallSession) -> None:
     made = simulate_photo_session(photo_session.folder, photo_session.recipe)
     assert made == TakenPhotographs(0, 192, [])
     assert photo_session.read().kept == 52
 
 
-def test_a_session_made_in_another_way_is_refused(photo_session):
+def test_a_session_made_in_another_way_is_refused(photo_session: SmallSession) -> None:
     recipe = photo_session.recipe
     for other in (
         replace(recipe, viewpoints=5),
@@ -58,7 +62,7 @@ def test_a_session_made_in_another_way_is_refused(photo_session):
             simulate_photo_session(photo_session.folder, other)
 
 
-def test_a_device_file_that_changed_meanwhile_is_another_device(photo_session, tmp_path):
+def test_a_device_file_that_changed_meanwhile_is_another_device(photo_session: SmallSession, tmp_path: Path) -> None:
     text = (photo_session.folder / "device.toml").read_text(encoding="utf-8")
     (tmp_path / "device.toml").write_text(text.replace("index = 1.5", "index = 1.6"), encoding="utf-8")
     with pytest.raises(BadInputError, match=r"belongs to other options: .*device\.toml has changed"):
@@ -67,7 +71,7 @@ def test_a_device_file_that_changed_meanwhile_is_another_device(photo_session, t
         )
 
 
-def test_a_real_session_is_never_written_into(photo_session):
+def test_a_real_session_is_never_written_into(photo_session: SmallSession) -> None:
     for name in ("simulation.toml", "finished.jsonl"):
         (photo_session.folder / name).unlink()
     before = (photo_session.folder / "session.toml").read_bytes()
@@ -78,7 +82,7 @@ def test_a_real_session_is_never_written_into(photo_session):
     assert (photo_session.folder / "session.toml").read_bytes() == before
 
 
-def test_a_recipe_is_read_as_it_was_written(photo_session, tmp_path):
+def test_a_recipe_is_read_as_it_was_written(photo_session: SmallSession, tmp_path: Path) -> None:
     again = load_recipe(photo_session.folder)
     assert values_of(again) | {"device": None} == values_of(photo_session.recipe) | {"device": None}
     named = replace(photo_session.recipe, device="birdbath28", eye="left")
@@ -90,7 +94,9 @@ def test_a_recipe_is_read_as_it_was_written(photo_session, tmp_path):
     ("pattern", "text", "complaint"),
     [("snr = .*", "snr = 'much'", "'snr' must be a number"), ("seed", "sead", "key 'seed' is missing")],
 )
-def test_a_recipe_that_was_spoilt_is_refused(photo_session, pattern, text, complaint):
+def test_a_recipe_that_was_spoilt_is_refused(
+    photo_session: SmallSession, pattern: str, text: str, complaint: str
+) -> None:
     path = photo_session.folder / "simulation.toml"
     content = re.sub(pattern, text, path.read_text(encoding="utf-8"), count=1)
     path.unlink()
@@ -99,7 +105,7 @@ def test_a_recipe_that_was_spoilt_is_refused(photo_session, pattern, text, compl
         load_recipe(photo_session.folder)
 
 
-def test_what_is_not_known_is_refused_before_anything_is_written(photo_session, tmp_path):
+def test_what_is_not_known_is_refused_before_anything_is_written(photo_session: SmallSession, tmp_path: Path) -> None:
     for recipe, complaint in (
         (replace(photo_session.recipe, eye="left"), "has no left eye"),
         (replace(photo_session.recipe, pattern="grey"), "Unknown code 'grey'"),
@@ -110,7 +116,7 @@ def test_what_is_not_known_is_refused_before_anything_is_written(photo_session, 
     assert not (tmp_path / "new" / "simulation.toml").exists()
 
 
-def photographed(bench, folder, eye):
+def photographed(bench: PhotoBench, folder: Path, eye: str) -> NDArray[Any]:
     """A photograph of the board without the headset, which differs between eyes in its noise only."""
     shot = BoardShot(folder / "bare" / "board.png", bench.device_from_target[0])
     lens, sensor, at = bench.eyeball, bench.eyeball_sensor, bench.camera_at(np.zeros(3))
@@ -118,7 +124,7 @@ def photographed(bench, folder, eye):
     return read_photograph(shot.path).astype(int)
 
 
-def test_both_eyes_of_one_seed_have_noise_of_their_own(photo_session, tmp_path):
+def test_both_eyes_of_one_seed_have_noise_of_their_own(photo_session: SmallSession, tmp_path: Path) -> None:
     bench = photo_session.bench
     right, again, left = (
         photographed(bench, tmp_path / str(k), eye) for k, eye in enumerate(("right", "right", "left"))

@@ -1,9 +1,13 @@
 """Sessions at the places of a plan: they are read as written, visited in their order, and kept in the recipe."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 from small_photo_session import far_panel_device, make_small
 
 from wlr_render.captures.photo_session_file import load_photo_session
@@ -16,30 +20,30 @@ from wlr_render.planning.designs import grids, offered, places_of, spread
 from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.photographs.photo_bench import half_travel
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, planned_session, true_camera_poses
-from wlr_render.simulation.photographs.recipe import load_recipe, save_recipe, values_of
+from wlr_render.simulation.photographs.recipe import SimulationRecipe, load_recipe, save_recipe, values_of
 
 DEVICE = "birdbath28"
 HEADER = "x_mm,y_mm,z_mm"
 ROWS = ((1.5, -0.25, 0.0), (-2.0, 1.0, 1.0), (0.125, 0.5, -1.0))
 
 
-def written(folder, *rows, header=HEADER):
+def written(folder: Path, *rows: object, header: str = HEADER) -> Path:
     path = folder / "places.csv"
     path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
     return path
 
 
-def read_recipe(options):
+def read_recipe(options: SimulateOptions) -> SimulationRecipe:
     return options.recipe
 
 
 @pytest.fixture
-def options(tmp_path):
+def options(tmp_path: Path) -> SimulateOptions:
     places = written(tmp_path, *(",".join(map(str, row)) for row in ROWS))
     return SimulateOptions(DEVICE, places=places, out=tmp_path / "session")
 
 
-def test_places_of_every_design_are_read_as_they_were_written(tmp_path):
+def test_places_of_every_design_are_read_as_they_were_written(tmp_path: Path) -> None:
     truth = traced_eye(load_device(DEVICE))
     reach, box = CaptureSetup(truth).field.reach, truth.eye_box
     units = [each.unit for each in (spread(box, reach, 25), *grids(reach, 81))] + [offered(box, reach, True)]
@@ -51,7 +55,7 @@ def test_places_of_every_design_are_read_as_they_were_written(tmp_path):
         assert again == pytest.approx(1e3 * in_random_order(places), abs=5.01e-4)
 
 
-def test_a_session_visits_the_places_in_their_order(options):
+def test_a_session_visits_the_places_in_their_order(options: SimulateOptions) -> None:
     recipe = options.recipe
     assert recipe.viewpoints == 3
     bench = recipe.build()
@@ -64,19 +68,21 @@ def test_a_session_visits_the_places_in_their_order(options):
     assert len(session.see_through) == (3 + 1) * len(bench.device_from_target)
 
 
-def test_places_in_depth_have_five_levels_of_depth_without_the_headset(options, tmp_path):
+def test_places_in_depth_have_five_levels_of_depth_without_the_headset(
+    options: SimulateOptions, tmp_path: Path
+) -> None:
     levels = [len(np.unique(plan_photographs(options.recipe.build(), 3).bare[:, 2]))]
     flat = replace(options, places=written(tmp_path, "1,0,0", "-1,1,0"))
     levels.append(len(np.unique(plan_photographs(flat.recipe.build(), 2).bare[:, 2])))
     assert levels == [5, 3]
 
 
-def test_the_recipe_keeps_the_places(options, tmp_path):
+def test_the_recipe_keeps_the_places(options: SimulateOptions, tmp_path: Path) -> None:
     recipe = options.recipe
     save_recipe(tmp_path, recipe)
     assert load_recipe(tmp_path) == recipe
     before = values_of(recipe)
-    options.places.write_text(HEADER + "\n1,1,0\n2,2,0\n1,2,0\n", encoding="utf-8")
+    present(options.places).write_text(HEADER + "\n1,1,0\n2,2,0\n1,2,0\n", encoding="utf-8")
     now = values_of(options.recipe)
     assert [name for name in before if before[name] != now[name]] == ["places_mm"]
 
@@ -93,7 +99,7 @@ def test_the_recipe_keeps_the_places(options, tmp_path):
         ([], r"places\.csv: has no rows; is a list of places empty"),
     ],
 )
-def test_faulty_places_are_refused_in_one_sentence(tmp_path, rows, sentence):
+def test_faulty_places_are_refused_in_one_sentence(tmp_path: Path, rows: Sequence[str], sentence: str) -> None:
     options = SimulateOptions(DEVICE, places=written(tmp_path, *rows), out=tmp_path / "session")
     with pytest.raises(BadInputError, match=sentence) as caught:
         read_recipe(options)
@@ -102,29 +108,29 @@ def test_faulty_places_are_refused_in_one_sentence(tmp_path, rows, sentence):
 
 
 @pytest.mark.parametrize(("header", "row"), [("x,y,z", "1,1,0"), ("y_mm,x_mm,z_mm", "1,1,0"), ("x_mm,y_mm", "1,1")])
-def test_other_columns_are_refused(tmp_path, header, row):
+def test_other_columns_are_refused(tmp_path: Path, header: str, row: str) -> None:
     with pytest.raises(BadInputError, match=r"places\.csv: the columns are '.*'; they must be x_mm,y_mm,z_mm"):
         read_recipe(SimulateOptions(DEVICE, places=written(tmp_path, row, header=header)))
 
 
-def test_a_missing_file_is_named(tmp_path):
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"nowhere\.csv: there is no such file"):
         read_recipe(SimulateOptions(DEVICE, places=tmp_path / "nowhere.csv"))
 
 
-def test_a_stage_without_the_axis_of_a_place_is_refused(options):
+def test_a_stage_without_the_axis_of_a_place_is_refused(options: SimulateOptions) -> None:
     with pytest.raises(BadInputError, match=r"line 3: z_mm is 1, but the stage xy does not move along z; write 0"):
         read_recipe(replace(options, stage="xy"))
 
 
 @pytest.mark.parametrize("other", [{"viewpoints": 9}, {"sampling": "volumetric"}])
-def test_places_exclude_other_choices_of_places(options, other):
+def test_places_exclude_other_choices_of_places(options: SimulateOptions, other: Mapping[str, Any]) -> None:
     with pytest.raises(BadInputError, match=r"--(viewpoints|sampling) has no effect with --places; leave out one"):
         replace(options, **other)
 
 
 @pytest.mark.slow
-def test_an_interrupted_session_continues_at_its_places(tmp_path, monkeypatch):
+def test_an_interrupted_session_continues_at_its_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_small(monkeypatch)
     options = SimulateOptions(
         far_panel_device(tmp_path),

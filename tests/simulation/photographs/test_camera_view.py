@@ -1,14 +1,18 @@
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from benchmarks.simulated_lab.exact_views import panel_position
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, inverse, rigid, rotate, rotation_about
-from wlr_render.optics.device import ClearAperture
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import ClearAperture, EyeOptics
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.simulation.photographs import camera_view
@@ -19,23 +23,23 @@ LOOKING_AHEAD = rigid(OPENXR_FROM_OPENCV, np.zeros(3))
 BROWN = np.array([-0.1, 0.03, 1e-3, -5e-4, 0.0])
 
 
-def camera(size_px, focal, distortion=None):
+def camera(size_px: tuple[int, int], focal: float, distortion: NDArray[Any] | None = None) -> LensCamera:
     lens = () if distortion is None else (distortion,)
     return LensCamera(size_px, np.array([focal, focal]), 0.5 * np.array(size_px, dtype=float), *lens)
 
 
-def optics(name):
+def optics(name: str) -> EyeOptics:
     return load_device(name).eyes["right"]
 
 
-def sight(name, lens, pose=LOOKING_AHEAD, samples=16):
+def sight(name: str, lens: SimulatedLens, pose: FloatArray = LOOKING_AHEAD, samples: int = 16) -> CameraView:
     return CameraView.through_optics(optics(name), lens, pose, samples)
 
 
-def place_at_depth(depth_m):
+def place_at_depth(depth_m: float) -> list[Any]:
     """Radiance that tells where rays meet the plane z = -depth: x and y in turn."""
 
-    def axis(number):
+    def axis(number: int) -> Callable[[Any], Any]:
         def radiance(ray):
             along = (-depth_m - ray[..., 2]) / ray[..., 5]
             return ray[..., number] + along * ray[..., 3 + number]
@@ -45,15 +49,15 @@ def place_at_depth(depth_m):
     return [axis(0), axis(1)]
 
 
-def pixel_centres(size_px):
+def pixel_centres(size_px: tuple[int, int]) -> NDArray[Any]:
     return np.stack(np.meshgrid(np.arange(size_px[0]) + 0.5, np.arange(size_px[1]) + 0.5), axis=-1)
 
 
-def uniform(value=255, shape=(720, 1280)):
+def uniform(value: int = 255, shape: tuple[int, int] = (720, 1280)) -> NDArray[np.uint8]:
     return np.full(shape, value, np.uint8)
 
 
-def test_a_bare_panel_is_photographed_pixel_by_pixel():
+def test_a_bare_panel_is_photographed_pixel_by_pixel() -> None:
     # 0.25 mm pixels at 500 mm: with 2000 px per tangent each is one camera pixel, and the middles coincide.
     picture = np.zeros((720, 1280), np.uint8)
     picture[:, 640 + 5] = 255
@@ -65,7 +69,7 @@ def test_a_bare_panel_is_photographed_pixel_by_pixel():
 
 
 @pytest.mark.parametrize("name", ["no_optics", "flat_mirror", "freeform40"])
-def test_a_uniform_panel_gives_uniform_light_up_to_its_edge_and_none_beyond(name):
+def test_a_uniform_panel_gives_uniform_light_up_to_its_edge_and_none_beyond(name: str) -> None:
     lens = SimulatedLens(camera((96, 64), 100.0, BROWN))
     eye = optics(name)
     light = sight(name, lens).panel_light(uniform(255, (eye.panel.pixels.height_px, eye.panel.pixels.width_px)))
@@ -79,19 +83,19 @@ def test_a_uniform_panel_gives_uniform_light_up_to_its_edge_and_none_beyond(name
     assert light.sum() == pytest.approx(finer.ok.sum() / 64, rel=0.005)
 
 
-def test_a_picture_and_its_negative_add_up_to_white():
+def test_a_picture_and_its_negative_add_up_to_white() -> None:
     one = sight("flat_mirror", SimulatedLens(camera((80, 60), 150.0)))
     picture = np.random.default_rng(2).integers(0, 256, (1080, 1920), dtype=np.uint8)
     both = one.panel_light(picture, 1.0) + one.panel_light(255 - picture, 1.0)
     np.testing.assert_allclose(both, one.panel_light(uniform(255, (1080, 1920)), 1.0), atol=2e-5)
 
 
-def test_a_panel_shines_by_its_gamma():
+def test_a_panel_shines_by_its_gamma() -> None:
     one = sight("no_optics", SimulatedLens(camera((12, 10), 2000.0)), samples=4)
     np.testing.assert_allclose(one.panel_light(uniform(128)), (128 / 255) ** 2.2, atol=1e-6)
 
 
-def test_the_mirrored_panel_stands_on_its_place():
+def test_the_mirrored_panel_stands_on_its_place() -> None:
     # The mirror image of the flat mirror's panel lies 80 mm ahead, 48 mm wide, 1920 px; u runs to the right.
     picture = np.zeros((1080, 1920), np.uint8)
     picture[:, :960] = 255
@@ -100,7 +104,7 @@ def test_the_mirrored_panel_stands_on_its_place():
     np.testing.assert_allclose(light[:, 41:], 0.0, atol=1e-5)
 
 
-def test_the_edge_of_a_mirror_cuts_the_panel_off():
+def test_the_edge_of_a_mirror_cuts_the_panel_off() -> None:
     def narrowed(surface):
         high = np.array([0.005, *surface.aperture.high[1:]])
         return replace(surface, aperture=ClearAperture(surface.aperture.low, high))
@@ -114,7 +118,7 @@ def test_the_edge_of_a_mirror_cuts_the_panel_off():
 
 
 @pytest.mark.parametrize("name", ["no_optics", "freeform40", "birdbath28"])
-def test_spots_on_the_panel_land_where_exact_rays_say(name):
+def test_spots_on_the_panel_land_where_exact_rays_say(name: str) -> None:
     eye = optics(name)
     lens = SimulatedLens(camera((240, 180), 1200.0, BROWN), 0.0)
     spots = np.floor(eye.panel.pixels.grid(24, 18)).astype(int).reshape(-1, 2)
@@ -136,7 +140,7 @@ def test_spots_on_the_panel_land_where_exact_rays_say(name):
     np.testing.assert_allclose(np.mean(error, axis=0), 0.0, atol=0.005)
 
 
-def test_the_world_through_a_plate_is_shifted_by_the_closed_form():
+def test_the_world_through_a_plate_is_shifted_by_the_closed_form() -> None:
     lens = SimulatedLens(camera((60, 40), 150.0, BROWN), 0.0)
     one = sight("plane_plate", lens, samples=1)
     tangents = lens.camera.tangents_of_pixel(pixel_centres((60, 40))) * [1, -1]
@@ -148,9 +152,9 @@ def test_the_world_through_a_plate_is_shifted_by_the_closed_form():
         np.testing.assert_allclose(one.world_light(radiance), expected[..., axis], atol=2e-6)
 
 
-def test_a_turned_camera_without_headset_sees_straight_rays_in_the_frame_that_it_is_given():
+def test_a_turned_camera_without_headset_sees_straight_rays_in_the_frame_that_it_is_given() -> None:
     lens = SimulatedLens(camera((60, 40), 100.0, BROWN), 0.001, 2.0)
-    pose = rigid(OPENXR_FROM_OPENCV @ rotation_about("y", 0.3), [0.1, -0.2, 0.3])
+    pose = rigid(OPENXR_FROM_OPENCV @ rotation_about("y", 0.3), np.array([0.1, -0.2, 0.3]))
     one = CameraView.without_headset(lens, pose, samples=2)
     direction = lens.camera.dir_of_pixel(pixel_centres((60, 40))) @ pose[:3, :3].T
     expected = pose[:3, 3] + (-1.0 - 0.3) / direction[..., 2:] * direction
@@ -161,7 +165,7 @@ def test_a_turned_camera_without_headset_sees_straight_rays_in_the_frame_that_it
     np.testing.assert_allclose(length, 1.0, atol=1e-6)
 
 
-def test_a_uniform_world_gives_uniform_light_wherever_a_ray_comes_in():
+def test_a_uniform_world_gives_uniform_light_wherever_a_ray_comes_in() -> None:
     lens = SimulatedLens(camera((90, 60), 60.0), 0.004, 0.5)
     light = sight("freeform40", lens).world_light(lambda ray: np.where(np.isnan(ray[..., 0]), np.nan, 0.7))
     assert light.max() == pytest.approx(0.7, abs=1e-6)
@@ -170,7 +174,9 @@ def test_a_uniform_world_gives_uniform_light_wherever_a_ray_comes_in():
 
 
 @pytest.mark.parametrize(("name", "focal"), [("freeform40", 250.0), ("northstar", 250.0), ("birdbath28", 250.0)])
-def test_interpolated_rays_are_exact_ones_to_a_hundredth(name, focal, monkeypatch):
+def test_interpolated_rays_are_exact_ones_to_a_hundredth(
+    name: str, focal: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     eye = optics(name)
     pose = rigid(OPENXR_FROM_OPENCV, eye.eye_box.centre)
     lens = SimulatedLens(camera((240, 180), focal, BROWN))
@@ -206,10 +212,10 @@ def test_interpolated_rays_are_exact_ones_to_a_hundredth(name, focal, monkeypatc
 
 
 @pytest.mark.parametrize(("depth_m", "focus_m"), [(0.4, 1.0), (1.0, 0.5), (0.5, float("inf")), (0.8, 0.8)])
-def test_a_spot_is_blurred_by_the_thin_lens_formula(depth_m, focus_m):
+def test_a_spot_is_blurred_by_the_thin_lens_formula(depth_m: float, focus_m: float) -> None:
     pupil_m, focal = 0.004, 1500.0
 
-    def variance(pupil_diameter_m):
+    def variance(pupil_diameter_m: float):
         radius = 3.0 * depth_m / focal  # three pixels
 
         def spot(ray):
@@ -226,7 +232,7 @@ def test_a_spot_is_blurred_by_the_thin_lens_formula(depth_m, focus_m):
     assert blur_px == pytest.approx(focal * pupil_m * abs(1 / depth_m - 1 / focus_m), rel=0.04, abs=0.3)
 
 
-def test_distortion_moves_a_spot_as_the_camera_says():
+def test_distortion_moves_a_spot_as_the_camera_says() -> None:
     lens = SimulatedLens(camera((80, 60), 100.0, 3 * BROWN), 0.001, 1.0)
     point = np.array([0.27, 0.17])
 
@@ -241,7 +247,7 @@ def test_distortion_moves_a_spot_as_the_camera_says():
     np.testing.assert_allclose(found, lens.camera.pixel_of_tangents(point * [1, -1]), atol=0.1)
 
 
-def test_a_camera_that_looks_away_takes_a_dark_picture():
+def test_a_camera_that_looks_away_takes_a_dark_picture() -> None:
     backwards = rigid(OPENXR_FROM_OPENCV @ rotation_about("y", np.pi), np.zeros(3))
     one = sight("flat_mirror", SimulatedLens(camera((20, 10), 30.0)), backwards, samples=2)
     assert not one.panel_light(uniform(255, (1080, 1920))).any()
@@ -249,19 +255,19 @@ def test_a_camera_that_looks_away_takes_a_dark_picture():
     assert not through_freeform.world_light(lambda ray: np.ones(ray.shape[:-1])).any()
 
 
-def test_without_headset_there_is_no_panel():
+def test_without_headset_there_is_no_panel() -> None:
     one = CameraView.without_headset(SimulatedLens(camera((20, 10), 30.0)), LOOKING_AHEAD, samples=2)
     light = one.panel_light(uniform())
     assert light.shape == (10, 20)
     assert not light.any()
 
 
-def test_what_radiance_does_not_know_is_dark():
+def test_what_radiance_does_not_know_is_dark() -> None:
     one = CameraView.without_headset(SimulatedLens(camera((20, 10), 30.0)), LOOKING_AHEAD, samples=2)
     assert not one.world_light(lambda ray: np.full(ray.shape[:-1], np.nan)).any()
 
 
 @pytest.mark.parametrize("image", [uniform(1, (1280, 720)), np.ones((720, 1280))])
-def test_an_image_that_the_panel_cannot_show_is_refused(image):
+def test_an_image_that_the_panel_cannot_show_is_refused(image: FloatArray | NDArray[np.uint8]) -> None:
     with pytest.raises(BadInputError, match="1280 x 720"):
         sight("no_optics", SimulatedLens(camera((12, 10), 300.0)), samples=1).panel_light(image)

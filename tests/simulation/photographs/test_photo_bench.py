@@ -1,16 +1,22 @@
 """The bench that takes photographs: where things stand, and that a camera sees what it is to see."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import (
+    PhotoBench,
     PhotoBenchOptions,
     design_photo_bench,
     stage_readings,
@@ -23,16 +29,16 @@ OPTIONS = PhotoBenchOptions(camera_px=(640, 512), imperfections=BenchImperfectio
 
 
 @pytest.fixture(scope="module", params=["birdbath28", "plane_plate"])
-def bench(request):
+def bench(request: pytest.FixtureRequest) -> PhotoBench:
     return design_photo_bench(load_device(request.param), "right", OPTIONS)
 
 
-def in_picture(lens, camera_from_point, point, margin_px=0.0):
+def in_picture(lens: SimulatedLens, camera_from_point: FloatArray, point: FloatArray, margin_px: float = 0.0):
     pixel = lens.camera.pixel_of_point(transforms.apply(camera_from_point, point))
     return np.all((pixel > margin_px) & (pixel < np.array(lens.camera.size_px) - margin_px), axis=-1)
 
 
-def test_the_whole_panel_is_in_the_picture_from_every_place_of_the_sweep(bench):
+def test_the_whole_panel_is_in_the_picture_from_every_place_of_the_sweep(bench: PhotoBench) -> None:
     truth, pixel = traced_eye(bench.device, bench.eye), bench.optics.panel.pixels.grid(9, 7).reshape(-1, 2)
     for reading in stage_readings(bench, 5):
         camera = bench.camera_at(reading)
@@ -43,7 +49,7 @@ def test_the_whole_panel_is_in_the_picture_from_every_place_of_the_sweep(bench):
         assert in_picture(bench.eyeball, transforms.inverse(camera), point).mean() > 0.9
 
 
-def test_readings_are_what_a_stage_shows_and_lie_in_one_plane(bench):
+def test_readings_are_what_a_stage_shows_and_lie_in_one_plane(bench: PhotoBench) -> None:
     readings = stage_readings(bench, 9)
     assert readings.shape == (9, 3)
     assert np.array_equal(readings, np.round(readings, 6))
@@ -52,7 +58,7 @@ def test_readings_are_what_a_stage_shows_and_lie_in_one_plane(bench):
     assert np.all(np.abs(readings[:, :2]).max(axis=0) >= half_box - 1e-6)
 
 
-def test_volumetric_readings_fill_the_eye_box(bench):
+def test_volumetric_readings_fill_the_eye_box(bench: PhotoBench) -> None:
     options = replace(OPTIONS, sampling="volumetric")
     readings = stage_readings(replace(bench, options=options), 9)
     half_box = 0.5 * bench.optics.eye_box.size
@@ -71,12 +77,12 @@ def test_volumetric_readings_fill_the_eye_box(bench):
         ({"stated_axes_deg": 0.1, "stage": "hand"}, "has no stage axes to state"),
     ],
 )
-def test_what_a_stage_cannot_do_is_refused(wrong, complaint):
+def test_what_a_stage_cannot_do_is_refused(wrong: Mapping[str, Any], complaint: str) -> None:
     with pytest.raises(BadInputError, match=complaint):
         PhotoBenchOptions(**wrong)
 
 
-def test_a_target_is_tilted_and_shifted_and_still_seen(bench):
+def test_a_target_is_tilted_and_shifted_and_still_seen(bench: PhotoBench) -> None:
     frontal, tilted, shifted = target_at(bench, 0.5), target_at(bench, 0.5, 20.0), target_at(bench, 0.5, 0.0, 0.06)
     assert np.array_equal(tilted[:3, 3], frontal[:3, 3])
     assert np.arccos(frontal[:3, 2] @ tilted[:3, 2]) == pytest.approx(np.deg2rad(20.0), abs=0.02)
@@ -91,7 +97,7 @@ def test_a_target_is_tilted_and_shifted_and_still_seen(bench):
             assert in_picture(lens, transforms.inverse(camera) @ target, point).sum() >= 20
 
 
-def test_the_camera_moves_with_the_stage_and_does_not_turn(bench):
+def test_the_camera_moves_with_the_stage_and_does_not_turn(bench: PhotoBench) -> None:
     rest, moved = bench.camera_at(np.zeros(3)), bench.camera_at(np.array([0.004, -0.002, 0.001]))
     assert np.array_equal(rest, bench.device_from_camera)
     assert np.array_equal(moved[:3, :3], rest[:3, :3])
@@ -99,7 +105,7 @@ def test_the_camera_moves_with_the_stage_and_does_not_turn(bench):
     assert travel == pytest.approx(np.linalg.norm([0.004, -0.002, 0.001]), rel=2e-3)
 
 
-def test_both_cameras_see_the_target_wherever_it_stands(bench):
+def test_both_cameras_see_the_target_wherever_it_stands(bench: PhotoBench) -> None:
     point = bench.board.point_of(bench.board.indices())
     for number, depth in enumerate(OPTIONS.target_depths_m):
         target = bench.device_from_target[number]
@@ -114,7 +120,7 @@ def test_both_cameras_see_the_target_wherever_it_stands(bench):
     assert in_picture(bench.tracking, transforms.inverse(bench.device_from_tracking) @ target, point).all()
 
 
-def test_the_board_can_be_printed_and_covers_the_field_at_the_farthest_place(bench):
+def test_the_board_can_be_printed_and_covers_the_field_at_the_farthest_place(bench: PhotoBench) -> None:
     short, long = sorted(bench.board.size_m)
     assert short <= 0.841
     assert long <= 1.189
@@ -129,7 +135,7 @@ def test_the_board_can_be_printed_and_covers_the_field_at_the_farthest_place(ben
     assert inside.mean() > 0.9
 
 
-def test_the_plan_moves_the_bare_camera_along_every_axis_and_fills_the_lenses(bench):
+def test_the_plan_moves_the_bare_camera_along_every_axis_and_fills_the_lenses(bench: PhotoBench) -> None:
     plan = plan_photographs(bench, 5)
     assert np.all(np.ptp(plan.bare, axis=0) >= 0.5 * bench.optics.eye_box.size)
     assert plan.bare_poses == (0, 1)
@@ -152,13 +158,13 @@ def test_the_plan_moves_the_bare_camera_along_every_axis_and_fills_the_lenses(be
         ("right", PhotoBenchOptions(focus_m=0.0), "positive focus"),
     ],
 )
-def test_benches_that_cannot_be_are_refused(eye, options, complaint):
+def test_benches_that_cannot_be_are_refused(eye: str, options: PhotoBenchOptions, complaint: str) -> None:
     with pytest.raises(BadInputError, match=complaint):
         design_photo_bench(load_device("plane_plate"), eye, options)
 
 
-def test_pictures_too_small_to_identify_a_near_board_are_named():
-    def said(camera, tracking):
+def test_pictures_too_small_to_identify_a_near_board_are_named() -> None:
+    def said(camera: tuple[int, int], tracking: tuple[int, int]) -> list[str]:
         options = PhotoBenchOptions(camera_px=camera, tracking_px=tracking)
         return unreadable_targets(design_photo_bench(load_device("freeform40"), "right", options))
 
@@ -172,7 +178,7 @@ def test_pictures_too_small_to_identify_a_near_board_are_named():
     )
 
 
-def test_a_recipe_from_before_volumetric_sessions_is_read(tmp_path):
+def test_a_recipe_from_before_volumetric_sessions_is_read(tmp_path: Path) -> None:
     path = save_recipe(tmp_path, SimulationRecipe("birdbath28"))
     later = ("sampling", "stated_axes_deg", "tracking_px")
     kept = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith(later)]

@@ -1,37 +1,40 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from present import present
 from small_photo_session import made_session
 
 from wlr_render.cli import main
 from wlr_render.geometry import rays
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.board_light import BoardLight
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
-from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions, design_photo_bench
+from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, design_photo_bench
 from wlr_render.simulation.photographs.photo_plan import later_visits, plan_photographs, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe, load_recipe, save_recipe, values_of
 
 NONE = BenchImperfections.none()
 
 
-def bench_of(family="workshop", seed=1, imperfections=NONE):
+def bench_of(family: str = "workshop", seed: int = 1, imperfections: BenchImperfections = NONE) -> PhotoBench:
     options = PhotoBenchOptions((640, 512), seed=seed, imperfections=imperfections, family=family)
     return design_photo_bench(load_device("plane_plate"), "right", options)
 
 
 @pytest.fixture(scope="module")
-def bench():
+def bench() -> PhotoBench:
     return bench_of()
 
 
 @pytest.fixture(scope="module")
-def perfect():
+def perfect() -> PhotoBench:
     return bench_of("polynomial")
 
 
-def test_stage_board_and_lens_come_from_the_workshop_and_the_rest_stays():
+def test_stage_board_and_lens_come_from_the_workshop_and_the_rest_stays() -> None:
     usual = BenchImperfections()
     bench, first = bench_of(imperfections=usual), bench_of("polynomial", imperfections=usual)
     kept = bench.options.imperfections
@@ -40,11 +43,12 @@ def test_stage_board_and_lens_come_from_the_workshop_and_the_rest_stays():
     assert (kept.vibration_px, kept.extrinsics_mm) == (usual.vibration_px, usual.extrinsics_mm)
     np.testing.assert_array_equal(bench.stated_device_from_tracking, first.stated_device_from_tracking)
     assert first.workshop is None
-    assert bench.workshop.seed != bench.tracking.workshop.seed
+    assert present(bench.workshop).seed != present(bench.tracking.workshop).seed
 
 
-def test_the_board_has_the_print_and_the_shape_of_the_workshop(bench):
+def test_the_board_has_the_print_and_the_shape_of_the_workshop(bench: PhotoBench) -> None:
     design = bench.board.point_of(bench.board.indices())
+    assert bench.workshop is not None
     place = design[:, :2] + bench.workshop.printed_m(design[:, :2])
     np.testing.assert_allclose(bench.printed.points[:, :2], place)
     height = bench.workshop.height_m(place / np.abs(design[:, :2]).max(axis=0))
@@ -52,7 +56,7 @@ def test_the_board_has_the_print_and_the_shape_of_the_workshop(bench):
     np.testing.assert_allclose(above, above.mean(), atol=1e-5)  # heights are less their mean over the dots
 
 
-def test_rays_meet_the_bent_board_where_its_dots_are(bench):
+def test_rays_meet_the_bent_board_where_its_dots_are(bench: PhotoBench) -> None:
     light = BoardLight(bench.printed, np.eye(4))
     point = bench.printed.points[[0, 40, -1]].astype(np.float32)
     origin = np.array([0.1, -0.05, -0.8], dtype=np.float32)
@@ -61,18 +65,19 @@ def test_rays_meet_the_bent_board_where_its_dots_are(bench):
     np.testing.assert_allclose(place, point[:, :2], atol=2e-6)
 
 
-def test_lens_and_pupil_are_the_workshops(bench):
+def test_lens_and_pupil_are_the_workshops(bench: PhotoBench) -> None:
     lens = bench.eyeball
     size, pixel = np.array(lens.camera.size_px), np.array([[30.0, 40.0], [320.0, 256.0], [600.0, 100.0]])
     unit = (pixel - 0.5 * size) / (0.5 * np.linalg.norm(size))
     origin, direction = rays.split(lens.ray_of_pixel(pixel, np.zeros(2)))
     seen = lens.camera.pixel_of_point(direction)
+    assert bench.workshop is not None
     np.testing.assert_allclose(seen - pixel, bench.workshop.lens_px(unit), atol=1e-6)
     np.testing.assert_allclose(origin[:, 2], bench.workshop.pupil_m(unit))
     assert not origin[:, :2].any()
 
 
-def motions(bench, perfect, viewpoints=9):
+def motions(bench, perfect, viewpoints: int = 9) -> tuple[FloatArray, FloatArray]:
     plan = plan_photographs(bench, viewpoints)
     true, exact = (true_camera_poses(each, plan).see_through for each in (bench, perfect))
     shift = [
@@ -85,11 +90,11 @@ def motions(bench, perfect, viewpoints=9):
     return np.array(shift), np.array(turn)
 
 
-def only(bench, *names):
-    return replace(bench, workshop=bench.workshop.only(*names))
+def only(bench: PhotoBench, *names: object):
+    return replace(bench, workshop=present(bench.workshop).only(*names))
 
 
-def test_the_stage_errs_and_the_camera_warms_up(bench, perfect):
+def test_the_stage_errs_and_the_camera_warms_up(bench: PhotoBench, perfect: PhotoBench) -> None:
     shift, _ = motions(only(bench, "hysteresis"), perfect)
     assert set(np.unique(np.round(1e6 * np.abs(shift), 6))) == {2.5}
     assert len(np.unique(np.sign(shift[:, 0]))) == 2  # the stage comes from both sides
@@ -103,7 +108,7 @@ def test_the_stage_errs_and_the_camera_warms_up(bench, perfect):
     np.testing.assert_allclose(turn, np.broadcast_to(np.eye(3), turn.shape), atol=1e-15)
 
 
-def test_later_visits_are_those_of_a_warm_camera(bench, perfect):
+def test_later_visits_are_those_of_a_warm_camera(bench: PhotoBench, perfect: PhotoBench) -> None:
     at = np.array([[0.001, 0.0, 0.0], [-0.002, 0.001, 0.0]])
     warm, cold = (later_visits(each, at, np.random.default_rng(1)) for each in (only(bench, "drift"), perfect))
     turn = [
@@ -113,7 +118,7 @@ def test_later_visits_are_those_of_a_warm_camera(bench, perfect):
     assert np.abs(turn[0] - np.eye(3)).max() > 1e-6
 
 
-def test_the_recipe_states_the_family(tmp_path):
+def test_the_recipe_states_the_family(tmp_path: Path) -> None:
     options = PhotoBenchOptions((640, 512), family="workshop")
     recipe = SimulationRecipe("plane_plate", bench=options)
     save_recipe(tmp_path, recipe)
@@ -122,14 +127,14 @@ def test_the_recipe_states_the_family(tmp_path):
     assert (values_of(recipe)["family"], values_of(other)["family"]) == ("workshop", "polynomial")
 
 
-def test_sizes_of_polynomials_are_refused_with_a_workshop(tmp_path, capsys):
+def test_sizes_of_polynomials_are_refused_with_a_workshop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = ["simulate", "plane_plate", "--family", "workshop", "--out", str(tmp_path / "out")]
     assert main([*given, "--bow-mm", "0.3"]) == 2
     assert "--bow-mm is used with --family polynomial" in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_a_session_of_a_workshop_is_calibrated(tmp_path):
+def test_a_session_of_a_workshop_is_calibrated(tmp_path: Path) -> None:
     session, found, _ = made_session(tmp_path / "made", "workshop")
     assert 'family = "workshop"' in (session.folder / "simulation.toml").read_text()
     assert found is not None
