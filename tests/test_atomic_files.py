@@ -200,7 +200,7 @@ def test_what_toml_cannot_hold_is_refused_and_no_file_appears(
 
 _BOARD = Chessboard(12, 9, 0.03, 0.0)
 _REPORT = Report("Noise", blocks=[curves("noise", {"a": (range(200), range(200))}, ("x", "y"))])
-_ORIGIN = provenance([], Path())
+_ORIGIN = provenance(_REPORT, Path())
 _COLUMNS = {column.name: np.arange(2000.0) for column in DISPLAY.columns}
 _NOISE = np.random.default_rng(0).integers(0, 256, (90, 120, 3), np.uint8)
 

@@ -41,7 +41,8 @@ def compare_detectors(folder: Path) -> Report:
     cells = [list(row.values()) for row in rows]
     notes = ("rms: of cv2.calibrateCamera with the corners of each detector, per corner over both axes.",)
     table = ReportTable("Boards found, and calibration", list(rows[0]), cells, notes)
-    pictures, found = (sum(int(row[key] or 0) for row in rows) for key in ("pictures", "found, ours"))
+    keys = ("pictures", "found, ours")
+    pictures, found = (sum(count for row in rows if isinstance(count := row[key], int)) for key in keys)
     fits = [adjusted_row(each, *found_in[each.title]) for each in present]
     about_fits = (
         "halves: rms over random splits of the halves' difference over its stated sigma; about 1 if sigmas are true.",

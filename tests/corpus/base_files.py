@@ -32,6 +32,7 @@ from corpus.base_texts import (
     PHOTO_SESSION,
     RAYOPTICS,
     RECORDING,
+    REPORT,
     SCENE_WITH_MESH,
     STATION,
     TARGET_KALIBR,
@@ -89,6 +90,7 @@ def _write_texts(folder: Path) -> None:
         "gaze.txt": GAZE,
         "recording.jsonl": RECORDING,
         "causes.py": CAUSES,
+        "report.json": json.dumps(REPORT, indent=1),
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")

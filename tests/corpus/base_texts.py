@@ -149,6 +149,31 @@ quaternion_xyzw = [0, 0, 0, 1]
 scale = 0.5
 """
 SCENE_WITH_MESH = SCENE + POINT_LIGHT_AND_MESH
+REPORT = {
+    "format": "wlr-report",
+    "version": 1,
+    "provenance": {
+        "date": "2026-01-01T12:00:00+00:00",
+        "version": "0.2.0",
+        "command": "wlr-render import-lens lens.zmx",
+        "verb": "import-lens",
+        "options": {"--panel": [64, 48]},
+        "inputs": [{"name": "lens.zmx", "sha256": "0" * 64}],
+    },
+    "title": "Import of lens.zmx",
+    "sentence": "lens: 2 surfaces.",
+    "advice": [],
+    "warnings": [],
+    "tables": [
+        {
+            "section": "",
+            "title": "Surfaces of the file",
+            "rows": [{"surface": 1, "index": 1.5, "size": {"value": 1.0, "error": 0.1, "unit": "mm"}}],
+            "notes": [],
+        }
+    ],
+    "plots": [],
+}
 STATION = {
     "format": "wlr-station",
     "version": 3,

@@ -16,6 +16,7 @@ from wlr_render.optics.device_file import device_content, device_of, load_device
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.headset_of_lens import HeadsetChoices, headset_of_lens
 from wlr_render.optics.lens_files.lens_file import read_lens_file
+from wlr_render.report.comparison import read_report
 from wlr_render.scene.scene_file import load_scene
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
@@ -82,6 +83,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "lens.seq": _read_optics,
     "optiland.json": _read_optics,
     "rayoptics.roa": _read_optics,
+    "report.json": lambda path: read_report(path, "import-lens"),
     "glasses.agf": lambda path: _read_optics(path.with_name("lens.zmx")),
 }
 """By the name of the file that it reads. A reader of a folder takes the folder of the file."""

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from wlr_render import __version__
 from wlr_render.io.atomic_files import write_figure
-from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text, quantity, table
+from wlr_render.report.blocks import Estimate, Picture, Plot, Report, ReportTable, Section, Text, table
 from wlr_render.report.plots import bars
 from wlr_render.report.records import json_text, to_jsonable
 from wlr_render.report.save import markdown_table, save_report
@@ -207,7 +207,20 @@ def test_numbers_of_a_list_share_a_line() -> None:
     ],
 )
 def test_a_value_is_rounded_by_its_error(value: float, error: float, digits: int, text: str) -> None:
-    assert quantity(value, error, digits) == text
+    assert str(Estimate(value, error, digits=digits)) == text
+    assert str(Estimate(value, error, "mm", digits)) == f"{text} mm"
+
+
+def test_a_value_with_its_error_is_a_number_in_the_json_file(tmp_path: Path) -> None:
+    table = ReportTable("T", ["pose", "size"], [["a", Estimate(9.123, 0.3, "mm", 2)], ["b", Estimate(np.nan, 0.3)]])
+    saved = save_report(Report("T", blocks=[Section("First"), table]), tmp_path)
+    (written,) = json.loads(saved.files[2].read_text())["tables"]
+    assert written["section"] == "First"
+    assert [row["size"] for row in written["rows"]] == [
+        {"value": 9.123, "error": 0.3, "unit": "mm"},
+        {"value": None, "error": 0.3, "unit": ""},
+    ]
+    assert "| a | 9.12 +- 0.30 mm |" in saved.files[1].read_text()
 
 
 def test_a_table_of_records_has_a_row_each(saved: Report) -> None:

@@ -15,7 +15,7 @@ from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.held_out import held_out_residual, jackknife
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation
-from wlr_render.diagnosis.tables import OfCause
+from wlr_render.diagnosis.tables import OfCause, with_unit
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.report.blocks import Report, ReportTable, Section, table
 
@@ -140,9 +140,8 @@ def _values(diagnosis: DiagnosisRecord) -> ReportTable:
         [OfCause(cause, each) for cause in diagnosis.causes for each in cause.parameters],
         {
             "cause": "cause.name",
-            "parameter": "each.name",
+            "parameter": lambda row: with_unit(row.each.name, row.each.unit),
             "value": "each.value",
-            "unit": "each.unit",
             "one sigma by the diagnosis": "each.sigma",
             "one sigma by the captures": lambda row: by_name.get((row.cause.name, row.each.name), np.nan),
         },

@@ -12,7 +12,7 @@ from wlr_render.diagnosis.improvement import ImprovementInUse
 from wlr_render.diagnosis.observations import PART_NAMES, PART_UNITS
 from wlr_render.diagnosis.report_warnings import stated_prior
 from wlr_render.diagnosis.verdict_sentences import AXES_NOTE, RESIDUALS, odds_text, undetermined_parts, value_text
-from wlr_render.report.blocks import Cell, ReportTable, quantity, table, value_and_error
+from wlr_render.report.blocks import Cell, Estimate, ReportTable, table
 
 _UNCHANGED = 0.05  # percent: rounds to 0.0
 _RANKED = 6  # candidates of each place that the table shows
@@ -127,10 +127,8 @@ def parameters_table(diagnosis: DiagnosisRecord) -> ReportTable:
         numbers,
         {
             "cause": "cause.name",
-            "parameter": "each.name",
-            "value": lambda row: value_and_error(row.each.value, row.each.sigma, 2)[0],
-            "one sigma": lambda row: value_and_error(row.each.value, row.each.sigma, 2)[1] or "-",
-            "unit": "each.unit",
+            "parameter": lambda row: with_unit(row.each.name, row.each.unit),
+            "value +- one sigma": lambda row: Estimate(row.each.value, row.each.sigma, digits=2),
             "value / sigma": lambda row: abs(row.each.value) / row.each.sigma if row.each.sigma > 0 else None,
             size: prior,
             "variant": "cause.variant",
@@ -238,7 +236,7 @@ def effects_table(diagnosis: DiagnosisRecord) -> ReportTable:
             "function of": "coordinates",
             "displaces": "displaced",
             "form": "form",
-            "size": lambda each: f"{quantity(each.size, each.size_sigma)} {each.unit}",
+            "size": lambda each: Estimate(each.size, each.size_sigma, each.unit),
             "log10 odds": lambda each: _odds(each.log10_odds),
             "next station": lambda each: each.next_station or None,
             "log10 odds against it": lambda each: _odds(each.odds_against_next_station),
@@ -277,7 +275,7 @@ def limits_table(diagnosis: DiagnosisRecord) -> ReportTable:
     return table(
         "Detection limits",
         diagnosis.detection_limits,
-        {"cause": "cause", "parameter": "parameter", "detection limit": "limit", "unit": "unit"},
+        {"cause": "cause", "parameter": lambda each: with_unit(each.parameter, each.unit), "detection limit": "limit"},
         (f"{diagnosis.settings.detection_limit_se:g} standard errors, each cause acting alone.",),
     )
 
@@ -293,8 +291,8 @@ def repeatability_table(diagnosis: DiagnosisRecord) -> ReportTable:
         diagnosis.motions,
         {
             "part": lambda each: f"{each.part} (not determined)" if each.part in unknown else each.part,
-            "positions (um)": lambda each: quantity(each.shift_um, each.shift_error_um),
-            "turns (urad)": lambda each: quantity(each.turn_urad, each.turn_error_urad),
+            "positions (um)": lambda each: Estimate(each.shift_um, each.shift_error_um),
+            "turns (urad)": lambda each: Estimate(each.turn_urad, each.turn_error_urad),
         },
         notes,
     )
@@ -316,7 +314,7 @@ def noise_table(diagnosis: DiagnosisRecord) -> ReportTable:
             "stated": "stated_px",
             "within photographs": "within_px",
             "repeats": "repeats_px",
-            "measured": lambda floor: quantity(floor.measured_px, floor.error_px),
+            "measured": lambda floor: Estimate(floor.measured_px, floor.error_px),
             "used": "used_px",
             "stated agrees": lambda floor: "yes" if floor.is_believable else "no",
             "corner / middle": "rim_factor",
@@ -327,11 +325,16 @@ def noise_table(diagnosis: DiagnosisRecord) -> ReportTable:
     )
 
 
-def _percent(improvement: HeldOutImprovement, unchanged: str = "") -> str:
+def _percent(improvement: HeldOutImprovement, unchanged: str = "") -> Cell:
     """Return an improvement with its error, or the word for one that rounds to zero."""
     if unchanged and abs(improvement.percent) < _UNCHANGED:
         return unchanged
-    return f"{improvement.percent:.1f} +- {improvement.sigma:.1f}"
+    return Estimate(improvement.percent, improvement.sigma)
+
+
+def with_unit(parameter: str, unit: str) -> str:
+    """Return the name of a parameter with its unit, as heads of columns have it."""
+    return parameter if unit == "1" else f"{parameter} ({unit})"
 
 
 def _odds(log10_odds: float) -> str | None:

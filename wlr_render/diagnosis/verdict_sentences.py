@@ -24,7 +24,7 @@ from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
-from wlr_render.report.blocks import capitalised, cell_text, decimals, quantity
+from wlr_render.report.blocks import Estimate, capitalised, cell_text, decimals
 
 _REMEDIES = {
     "device": "calibrate and render with the corrected device, or have the headset readjusted",
@@ -176,7 +176,7 @@ def _repeatability(motion: MotionSize) -> str:
 def _size(value: float, error: float, unit: str, unusual: float) -> str:
     """Return a size with its error, or its upper limit where the session shows no such size; empty if unknown."""
     if error <= _UNSURE * value:
-        return f"{quantity(value, error)} {unit}"
+        return str(Estimate(value, error, unit))
     # A size that no reading depends on has an error of many powers of ten.
     limit = value * exp(min(2.0 * error / value, 100.0))
     return "" if limit > unusual else f"better than {cell_text(float(f'{limit:.2g}'))} {unit}"
@@ -207,7 +207,7 @@ def _shape(noise: NoiseFloor) -> list[str]:
 
 def effect_sentence(effect: StationEffect) -> str:
     """Return the station, the shape, the size and the odds of a located effect."""
-    size = f"{quantity(abs(effect.size), effect.size_sigma)} {effect.unit}"
+    size = Estimate(abs(effect.size), effect.size_sigma, effect.unit)
     if effect.form == "smooth":
         shape = f"{effect.displaced}, a smooth function of {effect.coordinates}, {size} rms"
     elif effect.place is None or effect.length is None:
@@ -359,8 +359,8 @@ def odds_text(log10_odds: float) -> str:
 
 def value_text(parameter: ParameterValue) -> str:
     """Return the name, the value with its standard error, and the unit of a parameter."""
-    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
-    return f"{parameter.name} {quantity(parameter.value, parameter.sigma, 2)}{unit}"
+    unit = "" if parameter.unit == "1" else parameter.unit
+    return f"{parameter.name} {Estimate(parameter.value, parameter.sigma, unit, digits=2)}"
 
 
 def _clearest(cause: FoundCause) -> str:

@@ -186,13 +186,23 @@ def sha256_of(content: bytes) -> str:
 
 def _difference(was: Recipe, now: Recipe) -> str:
     """Describe the first difference between two recipes; "" if they are equal."""
-    for key in dict.fromkeys([*now, *was]):
-        old, new = was.get(key), now.get(key)
-        if _content(old) != _content(new):
-            if key.startswith(_INPUT) or _shown(old) == _shown(new):
-                return f"{_shown(new or old)} has changed"
-            return f"{key} was {_shown(old)} and is {_shown(new)}"
+    for key, (old, new) in differences(was, now).items():
+        if key.startswith(_INPUT) or _shown(old) == _shown(new):
+            return f"{_shown(new or old)} has changed"
+        return f"{key} was {_shown(old)} and is {_shown(new)}"
     return ""
+
+
+def differences(was: Recipe, now: Recipe) -> dict[str, tuple[object, object]]:
+    """Return the old and the new value of all keys by which two recipes differ; None for a missing key."""
+    both = {key: (was.get(key), now.get(key)) for key in dict.fromkeys([*now, *was])}
+    return {key: (old, new) for key, (old, new) in both.items() if _content(old) != _content(new)}
+
+
+def in_recipe(value: object) -> str:
+    """Return the text of a value of a recipe: a file with the first digits of its hash."""
+    sha256 = value.get("sha256") if isinstance(value, dict) else None
+    return f"{_shown(value)} (SHA-256 {str(sha256)[:8]}...)" if sha256 else _shown(value)
 
 
 def _content(value: object) -> object:

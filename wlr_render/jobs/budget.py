@@ -60,7 +60,7 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
         warnings=_warnings(options.headset, found),
         blocks=blocks,
         inputs=[headset_path(options.headset)],
-        record={"options": options, "eyes": found, "disparity": disparity},
+        record={"eyes": found, "disparity": disparity},
         stem="budget",
     )
 

@@ -10,7 +10,7 @@ from wlr_render import usual
 from wlr_render.budget.error_sizes import Drawing, ErrorSizes, EyeTracker, HeadTracker, PerAxis, Truncation
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
-from wlr_render.jobs.options import Eyes, Options, described, flag_of, option_group
+from wlr_render.jobs.options import Against, Eyes, Options, described, flag_of, option_group
 from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M
 
 _MEDIAN_OF_RAYLEIGH = 1.177  # median length of a pair of standard normal numbers
@@ -97,6 +97,7 @@ class BudgetOptions(Options):
         ),
     ] = False
     out: Annotated[Path, described("Output folder.")] = Path("out/budget")
+    against: Against = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,7 +1,7 @@
 """Decode photographs of a panel or projector that shows a code, and assess the result."""
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -22,7 +22,7 @@ from wlr_render.io.input_files import prefix_errors
 from wlr_render.io.toml_files import read_toml
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Code, Options, ProgressArgument, Range, described, described_size
+from wlr_render.jobs.options import Against, Code, Options, ProgressArgument, Range, described, described_size
 from wlr_render.mappings import Panel
 from wlr_render.report.blocks import Block, Columns, Picture, Report, ReportTable, table
 from wlr_render.work.progress import SILENT, Progress
@@ -56,6 +56,7 @@ class DecodeVerbOptions(Options):
         described("Order of the photographs: white and black first, or last as in OpenCV's Gray code."),
     ] = "as shown"
     out: Annotated[Path, described("Output folder.")] = Path("out/decode")
+    against: Against = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -89,7 +90,7 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     files = find_code_files(options.folder, pattern.names(), options.order)
     codes = CodePhotographs(options.folder, files, pattern, _camera_format(options))
     report, *_ = decode_and_assess(codes, options.out, progress)
-    return replace(report, record=options)
+    return report
 
 
 def decode_and_assess(

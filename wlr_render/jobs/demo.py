@@ -49,6 +49,7 @@ from wlr_render.jobs.demo_picture import (
 )
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
+    Against,
     Backend,
     Eyes,
     Options,
@@ -100,6 +101,7 @@ class DemoOptions(Options):
     seed: Seed = 1
     backend: Backend = "auto"
     out: Annotated[Path, described("Output folder; each eye has a subfolder if both are judged.")] = Path("out/demo")
+    against: Against = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Options, ProgressArgument, Range, described, option_group
+from wlr_render.jobs.options import Against, Options, ProgressArgument, Range, described, option_group
 from wlr_render.report.blocks import Report
 from wlr_render.work.progress import SILENT
 
@@ -80,6 +80,7 @@ class DiagnoseOptions(Options):
         ),
     ] = False
     out: Annotated[Path, described("Output folder.")] = Path("out/diagnose")
+    against: Against = None
 
     def measurements(self) -> tuple[Bench, Session]:
         """Load the bench to compare with, and the session.

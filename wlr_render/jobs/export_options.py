@@ -9,7 +9,7 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.exports.formats import FormatName, format_of
 from wlr_render.jobs import limits
-from wlr_render.jobs.options import Eyes, NoEffect, Options, Range, described, described_size, option_group
+from wlr_render.jobs.options import Against, Eyes, NoEffect, Options, Range, described, described_size, option_group
 from wlr_render.numerics.arrays import FloatArray
 
 _PUPIL = option_group("Pupil positions", 1)
@@ -100,6 +100,7 @@ class ExportOptions(Options):
         ),
     ] = "viewpoint"
     out: Annotated[Path, described("Output folder."), NoEffect()] = Path("out/export")
+    against: Against = None
 
     def __post_init__(self) -> None:
         """Check that the options are compatible and that the format supports them."""

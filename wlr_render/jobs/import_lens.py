@@ -13,7 +13,16 @@ from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.toml_files import Table
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import EyeName, Options, ProgressArgument, Range, described, described_size, option_group
+from wlr_render.jobs.options import (
+    Against,
+    EyeName,
+    Options,
+    ProgressArgument,
+    Range,
+    described,
+    described_size,
+    option_group,
+)
 from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import device_content, device_of, save_device
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
@@ -94,6 +103,7 @@ class ImportLensOptions(Options):
         described("Take the semi-diameters up to which surfaces are drawn as clear apertures.", flag=True, group=_FILE),
     ] = False
     out: Annotated[Path, described("Output folder.")] = Path("out/import-lens")
+    against: Against = None
 
 
 @job

@@ -3,11 +3,13 @@
 import functools
 import inspect
 from collections.abc import Callable
+from dataclasses import replace
 from typing import ParamSpec
 
 from wlr_render.io.atomic_files import locked_folder, output_folder
 from wlr_render.io.kept import Kept
 from wlr_render.report.blocks import Report
+from wlr_render.report.comparison import read_report
 from wlr_render.report.save import save_report
 
 Arguments = ParamSpec("Arguments")
@@ -19,7 +21,8 @@ _LISTING = ("render", "export", "simulate", "pattern")
 def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
     """Lock a job's output folder, `options.out`, and write the job's report there; a decorator.
 
-    Concurrent jobs in one folder would replace each other's files.
+    Concurrent jobs in one folder would replace each other's files. The report of `options.against` is read before the
+    job starts, because the job may replace it.
     """
     signature = inspect.signature(function)
 
@@ -27,11 +30,14 @@ def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Report:
         bound = signature.bind(*args, **kwargs)
         bound.apply_defaults()
-        out, name = bound.arguments["options"].out, function.__name__.replace("_", "-")
+        options, name = bound.arguments["options"], function.__name__.replace("_", "-")
+        out = options.out
         with locked_folder(out, name):
             if name not in _LISTING:
                 Kept(out, {"job": name})  # refuses a folder whose files a ledger lists
-            report = function(*args, **kwargs)
-            return save_report(report, output_folder(out)) if report.stem else report
+            against = getattr(options, "against", None)
+            before = None if against is None else (against, read_report(against, name))
+            report = replace(function(*args, **kwargs), verb=name, options=options.recipe_values())
+            return save_report(report, output_folder(out), before=before) if report.stem else report
 
     return run

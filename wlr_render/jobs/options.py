@@ -127,12 +127,14 @@ class Options:
         hints, hashes = typing.get_type_hints(type(self), include_extras=True), sha256 or {}
         names = [each.name for each in dataclasses.fields(self) if NoEffect() not in _notes(hints[each.name])]
         values = {name: getattr(self, name) for name in names}
-        return {
-            flag_of(type(self), name): file_of(value, hashes.get(name, ""))
-            if isinstance(value, Path) or name in hashes
-            else value
-            for name, value in values.items()
-        }
+        stated: dict[str, Any] = {}
+        for name, value in values.items():
+            if isinstance(value, Options):
+                stated |= value.recipe_values()
+            else:
+                is_file = isinstance(value, Path) or name in hashes
+                stated[flag_of(type(self), name)] = file_of(value, hashes.get(name, "")) if is_file else value
+        return stated
 
     def _check_product(self, at_most: int, what: str, *names: str) -> None:
         """Limit the number of things that several options multiply to.
@@ -250,6 +252,13 @@ Scheduler = Annotated[
     ),
     NoEffect(),
 ]
+
+Against = Annotated[
+    Path | None,
+    described("Compare with this earlier report of the verb: a folder, also that of --out, or a file."),
+    NoEffect(),
+]
+"""Type of the field `against` of the options of each verb that writes a report; `jobs/job.py` makes the comparison."""
 
 
 class SpreadOptions(Options):

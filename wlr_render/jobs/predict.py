@@ -21,7 +21,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Options, ProgressArgument, described
+from wlr_render.jobs.options import Against, Options, ProgressArgument, described
 from wlr_render.report.blocks import Block, Columns, Plot, Report, capitalised, table
 from wlr_render.report.plots import arrow_map
 from wlr_render.work.progress import SILENT
@@ -38,6 +38,7 @@ class PredictOptions(Options):
     session: Annotated[Path, described("Bench session, output folder of `calibrate` on photographs, or capture file.")]
     _: KW_ONLY
     out: Annotated[Path, described("Output folder.")] = Path("out/predict")
+    against: Against = None
 
 
 @job

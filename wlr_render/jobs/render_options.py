@@ -10,6 +10,7 @@ from wlr_render.jobs import limits
 from wlr_render.jobs.options import (
     WORK,
     WORKERS,
+    Against,
     Backend,
     Eyes,
     NoEffect,
@@ -191,6 +192,7 @@ class RenderOptions(SpreadOptions):
     ] = None
     scheduler: Scheduler = None
     out: Annotated[Path, described("Output folder; existing frames are kept."), NoEffect()] = Path("out/render")
+    against: Against = None
 
     def __post_init__(self) -> None:
         """Check that the models of red and blue light come together, and that several frames have a trajectory."""

@@ -13,7 +13,7 @@ from wlr_render.evaluation.lateral_colour import lateral_colour_table
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.headset import open_colours
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import EyeName, Eyes, Options, ProgressArgument, described, eyes_of
+from wlr_render.jobs.options import Against, EyeName, Eyes, Options, ProgressArgument, described, eyes_of
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.drawing import draw_device
@@ -42,6 +42,7 @@ class TraceOptions(Options):
     _: KW_ONLY
     eye: Annotated[Eyes, described("Eyes to trace.")] = "right"
     out: Annotated[Path, described("Output folder.")] = Path("out/trace")
+    against: Against = None
 
 
 @job

@@ -18,7 +18,7 @@ from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.photograph_pair import JudgedPair, judge_pair
 from wlr_render.io.atomic_files import output_folder, write_figure
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import EyeName, Options, ProgressArgument, described
+from wlr_render.jobs.options import Against, EyeName, Options, ProgressArgument, described
 from wlr_render.report.blocks import Cell, Columns, Picture, Report, ReportTable, cell_text, table
 from wlr_render.work.progress import SILENT
 
@@ -55,6 +55,7 @@ class VerifyOptions(Options):
     )
     eye: Annotated[EyeName, described("Eye that the camera was calibrated for.")] = "right"
     out: Annotated[Path, described("Output folder.")] = Path("out/verify")
+    against: Against = None
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,6 @@ def verify(options: VerifyOptions, *, progress: ProgressArgument = SILENT) -> Re
         blocks=[overall, table_of_pairs(judged), *pictures],
         inputs=[options.photographs, options.board, station],
         files=[picture.path for picture in pictures],
-        record=options,
     )
 
 

@@ -10,7 +10,32 @@ from typing import Any
 
 from wlr_render.html_summary import SummaryTable, html_summary
 
-Cell = str | float | int | None
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its standard error; as text "9.1 +- 0.3", or the value alone if the error is unknown.
+
+    Attributes:
+        value: NaN if unknown.
+        error: standard error in the same unit; unknown if it is not finite and positive.
+        unit: stands after the text; empty if the head of the column states it.
+        digits: significant digits of the error in the text.
+    """
+
+    value: float
+    error: float
+    unit: str = ""
+    digits: int = field(default=1, metadata={"json": False})
+
+    def __str__(self) -> str:
+        text = cell_text(self.value)
+        if math.isfinite(self.value) and 0.0 < self.error < math.inf:
+            places = decimals(self.error, self.digits)
+            text = f"{self.value:.{places}f} +- {self.error:.{places}f}"
+        return f"{text} {self.unit}".rstrip()
+
+
+Cell = str | float | int | Estimate | None
 Columns = Mapping[str, str | Callable[[Any], Cell]]
 """Content of the columns of a table by head: an attribute of the row's record, e.g. "before.rms", or a function."""
 
@@ -147,6 +172,8 @@ class Report:
         record: data for the JSON file, a dataclass or a mapping.
         faults: items that could not be used; the command line exits with status 2 if there are any.
         stem: name of its files without the extension; empty if it is only printed.
+        verb: name of the job.
+        options: value of each option that the result depends on, by flag, as `kept.recipe_of` takes them.
     """
 
     title: str
@@ -159,6 +186,8 @@ class Report:
     record: Any = field(default_factory=dict)
     faults: Sequence[str] = ()
     stem: str = "report"
+    verb: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def tables(self) -> list[ReportTable]:
@@ -188,22 +217,6 @@ def decimals(error: float, digits: int) -> int:
     """Return the number of decimal places that shows `digits` digits of a standard error; 0 for a large error."""
     rounded = float(f"{error:.{digits - 1}e}")
     return max(0, digits - 1 - math.floor(math.log10(rounded)))
-
-
-def quantity(value: float, error: float, digits: int = 1) -> str:
-    """Return a value with its standard error, e.g. "9.1 +- 0.3"; the value alone if the error is unknown."""
-    return " +- ".join(filter(None, value_and_error(value, error, digits)))
-
-
-def value_and_error(value: float, error: float, digits: int = 1) -> tuple[str, str]:
-    """Return the texts of a value and its standard error, to `digits` digits of the error.
-
-    An error that is not finite and positive is unknown; its text is then empty.
-    """
-    if not (math.isfinite(value) and 0.0 < error < math.inf):
-        return cell_text(value), ""
-    places = decimals(error, digits)
-    return f"{value:.{places}f}", f"{error:.{places}f}"
 
 
 def capitalised(text: str) -> str:

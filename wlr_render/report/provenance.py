@@ -1,14 +1,16 @@
-"""Provenance of a result: date, version, command line and inputs."""
+"""Provenance of a result: date, version, command line, options and inputs."""
 
 import datetime
 import hashlib
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from wlr_render import __version__
+from wlr_render.report.blocks import Report
 
 
 @dataclass(frozen=True)
@@ -25,19 +27,22 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Date, version, command line and inputs of a result."""
+    """Date, version, command line, verb, options and inputs of a result."""
 
     date: str
     version: str
     command: str
+    verb: str
+    options: Mapping[str, Any]
     inputs: tuple[InputFile, ...]
 
 
-def provenance(inputs: Sequence[Path], output: Path) -> Provenance:
-    """Return date, version, command line and input hashes of the running program, which writes to folder `output`."""
+def provenance(report: Report, output: Path) -> Provenance:
+    """Return the provenance of a report of the running program, which writes to folder `output`."""
     now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-    hashes = (_sha256(path, output) for path in inputs)
-    return Provenance(now, __version__, _command(), tuple(map(InputFile, map(str, inputs), hashes)))
+    hashes = (_sha256(path, output) for path in report.inputs)
+    inputs = tuple(map(InputFile, map(str, report.inputs), hashes))
+    return Provenance(now, __version__, _command(), report.verb, report.options, inputs)
 
 
 def _command() -> str:

@@ -5,49 +5,75 @@ import os
 import urllib.parse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, cast
 
 from wlr_render.io.atomic_files import write_text
 from wlr_render.io.escapes import markdown_text
+from wlr_render.io.toml_files import Table
 from wlr_render.report.blocks import Block, Picture, Plot, Report, ReportTable, Section, Text
+from wlr_render.report.comparison import FORMAT, VERSION, RecordedReport, comparison
 from wlr_render.report.html import html_page
-from wlr_render.report.provenance import provenance
-from wlr_render.report.records import fields_of, json_text
+from wlr_render.report.provenance import Provenance, provenance
+from wlr_render.report.records import fields_of, json_text, to_jsonable
 
 
-def save_report(report: Report, folder: Path, stem: str = "") -> Report:
+def save_report(
+    report: Report, folder: Path, stem: str = "", before: tuple[Path, RecordedReport] | None = None
+) -> Report:
     """Write FOLDER/STEM.html, .md and .json, by default with the report's own stem, and return it with these files.
 
-    The JSON file has the fields of `report.record` in addition to the fields of every report.
+    The JSON file has the fields of `report.record` in addition to the fields of every report. With `before`, path and
+    content of an earlier report, all files end with the comparison of both.
 
     Raises:
         BadInputError: a file cannot be written.
     """
     stem = stem or report.stem
-    origin = provenance(report.inputs, folder)
+    origin = provenance(report, folder)
+    record = _record(report, origin)
+    if before is not None:
+        path, earlier = before
+        added = comparison(earlier, RecordedReport.of(Table(cast(Any, to_jsonable(record)), "this report")), path)
+        tables = _table_records(added)
+        record["comparison"] = {"file": path, "date": earlier.date, "version": earlier.version, "tables": tables}
+        report = dataclasses.replace(report, blocks=[*report.blocks, *added])
+    written = [
+        write_text(folder / f"{stem}.html", html_page(report, origin)),
+        write_text(folder / f"{stem}.md", markdown(report, folder)),
+        write_text(folder / f"{stem}.json", json_text(record)),
+    ]
+    return dataclasses.replace(report, files=(*report.files, *written))
+
+
+def _record(report: Report, origin: Provenance) -> dict[str, object]:
+    """Return the content of the JSON file."""
     record = {
+        "format": FORMAT,
+        "version": VERSION,
         "provenance": origin,
         "title": report.title,
         "sentence": report.verdict,
         "advice": report.advice,
         "warnings": report.warnings,
-        "tables": [table_record(table) for table in report.tables],
+        "tables": _table_records(report.blocks),
         "plots": [{"title": plot.title, "data": plot.data} for plot in report.blocks if isinstance(plot, Plot)],
     }
     of_job = fields_of(report.record) if dataclasses.is_dataclass(report.record) else dict(report.record)
     assert not record.keys() & of_job.keys(), "a job's record must not replace fields of every report"
-    written = [
-        write_text(folder / f"{stem}.html", html_page(report, origin)),
-        write_text(folder / f"{stem}.md", markdown(report, folder)),
-        write_text(folder / f"{stem}.json", json_text(record | of_job)),
-    ]
-    return dataclasses.replace(report, files=(*report.files, *written))
+    return record | of_job
 
 
-def table_record(table: ReportTable) -> dict[str, object]:
-    """Return the title, rows as objects with full-precision numbers, and notes of a table."""
-    keys = _unique(table.columns)
-    rows = [dict(zip(keys, row, strict=True)) for row in table.rows]
-    return {"title": table.title, "rows": rows, "notes": table.notes}
+def _table_records(blocks: Sequence[Block]) -> list[dict[str, object]]:
+    """Return section, title, rows as objects with full-precision numbers, and notes of each table among the blocks."""
+    section, records = "", list[dict[str, object]]()
+    for block in blocks:
+        if isinstance(block, Section):
+            section = block.title
+        elif isinstance(block, ReportTable):
+            keys = _unique(block.columns)
+            rows = [dict(zip(keys, row, strict=True)) for row in block.rows]
+            records.append({"section": section, "title": block.title, "rows": rows, "notes": block.notes})
+    return records
 
 
 def _unique(columns: Sequence[str]) -> list[str]:

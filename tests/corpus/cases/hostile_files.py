@@ -103,6 +103,7 @@ READERS = (
             ("glasses.agf", "lens.zmx"),
         )
     ),
+    Reader("report", "report.json", ("import-lens", "lens.zmx", *OPTICS, "--against", "report.json"), ("lens.zmx", "glasses.agf", "report.json")),
     Reader("board", "board.toml", PAIRS, PAIRS_FILES),
     Reader("station", "calibration/station-right.json", PAIRS, PAIRS_FILES),
     Reader("photograph of pairs", "pairs/a_on.png", PAIRS, PAIRS_FILES, text=False),

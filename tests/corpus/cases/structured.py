@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from corpus.base_texts import DEVICES, OPTILAND, PHOTO_SESSION, RAYOPTICS, SCENE_WITH_MESH, STATION
+from corpus.base_texts import DEVICES, OPTILAND, PHOTO_SESSION, RAYOPTICS, REPORT, SCENE_WITH_MESH, STATION
 from corpus.case import Case
 from corpus.cases.hostile_files import OPTICS
 from corpus.damage import damaged, toml_text
@@ -20,6 +20,14 @@ TOLERANT = {
     ("surface_group", "surfaces", "geometry", "coeffs_poly_y"),
 }
 """Keys that may have almost any value: a class or terms that are not read are warned of, and a cylinder is straight."""
+UNREAD = {
+    *(("provenance", key) for key in ("command", "options")),
+    ("provenance", "options", "--panel"),
+    *(("tables", "rows", key) for key in ("surface", "index")),
+    ("tables", "notes"),
+    *((key,) for key in ("title", "advice", "warnings", "plots")),
+}
+"""Keys of a report that are not read, or whose values may be anything that a cell or an option is."""
 SCENE_FILES = ("scene.toml", "box.obj")
 BOARD = {
     "kind": "chessboard",
@@ -79,6 +87,8 @@ def cases() -> Iterator[Case]:
     for file, content in (("optiland.json", OPTILAND), ("rayoptics.roa", RAYOPTICS)):
         arguments = ("import-lens", file, *OPTICS)
         yield from damaged("optics", content, file, save_json, arguments, ("glasses.agf",), set(TOLERANT))
+    arguments = ("import-lens", "lens.zmx", *OPTICS, "--against", "report.json")
+    yield from damaged("report", REPORT, "report.json", save_json, arguments, ("lens.zmx", "glasses.agf"), set(UNREAD))
 
 
 def _devices() -> Iterator[Case]:

@@ -120,8 +120,8 @@ def test_written_files_are_read_back(calibrated: tuple[Path, Report]) -> None:
     captures = load_captures(folder / "captures-right.npz")
     assert len(np.unique(present(captures.display).capture)) == 12
     record = json.loads((folder / "report.json").read_text())
-    options = record["options"]
-    assert (options["viewpoints"], options["noise_arcmin"], options["seed"]) == (12, 0.1, 4)
+    options = record["provenance"]["options"]
+    assert (options["--viewpoints"], options["--noise-arcmin"], options["--seed"]) == (12, 0.1, 4)
     assert record["fits"]["right"] == json.loads(json.dumps(model.report))
     assert "Error against the traced device in the nominal field" in (folder / "report.md").read_text()
 

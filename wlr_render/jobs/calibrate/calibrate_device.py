@@ -69,7 +69,6 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
         inputs=[device_path(options.path), *options.fit.inputs],
         files=files,
         record={
-            "options": options,
             "device": device.name,
             "fits": {fit.mappings.eye: fit.model().report for fit in fits},
         },

@@ -18,6 +18,7 @@ from wlr_render.jobs.headset import is_model
 from wlr_render.jobs.options import (
     SEEDS,
     WORKERS,
+    Against,
     Degree,
     Eyes,
     Options,
@@ -165,6 +166,7 @@ class CalibrateOptions(SpreadOptions):
     out: Annotated[
         Path, described("Output folder. If its model.json holds the other eye of the same device, that eye stays.")
     ] = Path("out/calibrate")
+    against: Against = None
     fit: FitOptions = DEFAULT_FIT
     workers: Annotated[
         int | None,

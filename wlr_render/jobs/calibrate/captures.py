@@ -47,5 +47,5 @@ def calibrate_captures(options: CalibrateOptions, *, progress: ProgressArgument 
         blocks=fit_blocks(comparison, captures),
         inputs=[each for each in (path, options.bench) if each is not None] + options.fit.inputs,
         files=[model],
-        record={"options": options, "device": fit.device, "fits": {fit.mappings.eye: fit.model().report}},
+        record={"device": fit.device, "fits": {fit.mappings.eye: fit.model().report}},
     )

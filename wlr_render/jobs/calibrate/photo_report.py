@@ -20,7 +20,7 @@ from wlr_render.io.atomic_files import write_figure
 from wlr_render.jobs.calibrate.eye_tables import binocular_table, primaries_table
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
 from wlr_render.jobs.decode import rejection_colours
-from wlr_render.report.blocks import Block, Cell, Columns, Picture, Plot, ReportTable, Section, table
+from wlr_render.report.blocks import Block, Cell, Columns, Estimate, Picture, Plot, ReportTable, Section, table
 from wlr_render.report.plots import bars
 
 _ACROSS = 6  # small pictures side by side
@@ -146,21 +146,21 @@ def _lens_table(found: SessionCalibration) -> ReportTable:
     adjustment = found.bench.adjustment
     rows: list[list[Cell]] = []
     for name, lens in adjustment.state.lens.items():
-        rows.append([f"{name} camera", "kind", getattr(lens, "kind", "splined"), None])
+        rows.append([f"{name} camera", "kind", getattr(lens, "kind", "splined")])
         sigma = np.sqrt(np.diag(adjustment.covariance_of([("lens", name)])))
         held = adjustment.state.blocks["lens", name].size <= EXACT
         rows += [
-            [f"{name} camera", value, f"{number:.6g}", None if is_held else float(one)]
+            [f"{name} camera", value, f"{number:.6g}" if is_held else Estimate(float(number), float(one), digits=2)]
             for value, number, one, is_held in zip(lens.names, lens.values, sigma, held, strict=True)
             if value != RESIDUAL
         ]
         if isinstance(lens, ResidualLens):
-            rows.append([f"{name} camera", "residual, rms (px)", lens.rms_px, None])
+            rows.append([f"{name} camera", "residual, rms (px)", lens.rms_px])
     notes = (
         "Focal length and centre in pixels, the centre from the outer corner of the top-left pixel. A term without a "
-        "standard deviation is stated, or the residual field replaces it.",
+        "sigma is stated, or the residual field replaces it.",
     )
-    return ReportTable("Lenses", ["camera", "value", "found", "standard deviation"], rows, notes)
+    return ReportTable("Lenses", ["camera", "value", "found +- one sigma"], rows, notes)
 
 
 def _kinds_tables(found: SessionCalibration) -> list[ReportTable]:
@@ -215,27 +215,28 @@ def _errors_table(found: SessionCalibration) -> ReportTable:
     rows: list[list[Cell]] = []
     if state.of("offset"):
         rows += [
-            ["stage, repeatability of position (um)", 1e6 * sizes["shift"], None],
-            ["stage, repeatability of rotation (urad)", 1e6 * sizes["turn"], None],
-            ["stage, error along an axis by its reading (um)", 1e6 * sizes["screw"], None],
-            ["stage, smooth error of position over the travel (um)", 1e6 * sizes["smooth shift"], None],
-            ["stage, smooth error of rotation over the travel (urad)", 1e6 * sizes["smooth turn"], None],
+            ["stage, repeatability of position (um)", 1e6 * sizes["shift"]],
+            ["stage, repeatability of rotation (urad)", 1e6 * sizes["turn"]],
+            ["stage, error along an axis by its reading (um)", 1e6 * sizes["screw"]],
+            ["stage, smooth error of position over the travel (um)", 1e6 * sizes["smooth shift"]],
+            ["stage, smooth error of rotation over the travel (urad)", 1e6 * sizes["smooth turn"]],
         ]
     for name, shape in state.shape.items():
         sigma = np.sqrt(np.diag(adjustment.covariance_of([("shape", name)])))
         for k, value in enumerate(BOARD_SHAPE):
-            unit, scale = ("um", 1e6) if k < 3 else ("parts per million", 1e6)
-            rows.append([f"{name}, {value} ({unit})", scale * float(shape.low[k]), scale * float(sigma[k])])
-        rows.append([f"{name}, errors of single features (um)", 1e6 * sizes.feature_m[name], None])
+            unit = "um" if k < 3 else "parts per million"
+            rows.append([f"{name}, {value} ({unit})", Estimate(1e6 * float(shape.low[k]), 1e6 * float(sigma[k]))])
+        rows.append([f"{name}, errors of single features (um)", 1e6 * sizes.feature_m[name]])
     if state.of("drift"):
-        rows.append(["camera, drift of the image in the session (arcmin)", sizes["drift"] / ARCMIN, None])
-    rows.append(["boards, smooth printing errors (um)", 1e6 * sizes["print"], None])
-    rows.append(["boards, heights beside bow and twist (um)", 1e6 * sizes["height"], None])
+        rows.append(["camera, drift of the image in the session (arcmin)", sizes["drift"] / ARCMIN])
+    rows.append(["boards, smooth printing errors (um)", 1e6 * sizes["print"]])
+    rows.append(["boards, heights beside bow and twist (um)", 1e6 * sizes["height"]])
     for target, (change,) in state.of("focus").items():
         sigma_change = float(np.sqrt(adjustment.covariance_of([("focus", target)])[0, 0]))
-        rows.append([f"focal length at target pose {target} (parts per million)", 1e6 * change, 1e6 * sigma_change])
+        name = f"focal length at target pose {target} (parts per million)"
+        rows.append([name, Estimate(1e6 * change, 1e6 * sigma_change)])
     note = "Standard deviations per axis, estimated from the photographs; the sigmas of all poses include them."
-    return ReportTable("Errors of stage, board and lens", ["error", "found", "its sigma"], rows, (note,))
+    return ReportTable("Errors of stage, board and lens", ["error", "found +- one sigma"], rows, (note,))
 
 
 def _chi_squared_table(found: SessionCalibration) -> ReportTable:
@@ -259,8 +260,7 @@ def _checks_table(found: SessionCalibration) -> ReportTable:
         "check": lambda check: "passed" if check.ok else "FAILED",
         "step": "step",
         "quantity": "quantity",
-        "value": lambda check: float(check.value),
-        "sigma": lambda check: float(check.sigma),
+        "value +- one sigma": lambda check: Estimate(float(check.value), float(check.sigma)),
         "limit": lambda check: float(check.limit),
         "what it says": "sentence",
     }

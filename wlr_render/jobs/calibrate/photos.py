@@ -81,7 +81,9 @@ def _save_refusal(refused: RefusedCalibrationError, session: PhotoSession, optio
         if found is None
         else session_blocks(found, folder),
         inputs=[Path(options.path), *options.fit.inputs],
-        record={"options": options, "device": session.device, "is_refused": True},
+        record={"device": session.device, "is_refused": True},
+        verb="calibrate",
+        options=options.recipe_values(),
     )
     save_report(report, folder)
 
@@ -113,5 +115,5 @@ def report_of(found: SessionCalibration, options: CalibrateOptions) -> Report:
         inputs=[Path(options.path), *options.fit.inputs],
         files=[*models, *(folder / f"{kind}-{eye}{suffix}" for eye in session.eyes for kind, suffix in RESULTS)],
         faults=found.faults,
-        record={"options": options, "device": session.device, **_record(found)},
+        record={"device": session.device, **_record(found)},
     )

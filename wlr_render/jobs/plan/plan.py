@@ -10,6 +10,7 @@ from wlr_render.jobs import limits
 from wlr_render.jobs.headset import is_model
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
+    Against,
     Code,
     EyeName,
     OnlyWith,
@@ -105,6 +106,7 @@ class PlanOptions(Options):
     ] = 4
     seed: Seed = 1
     out: Annotated[Path, described("Output folder.")] = Path("out/plan")
+    against: Against = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
