@@ -4,6 +4,7 @@ import dataclasses
 import enum
 import hashlib
 import json
+import pickle
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +17,7 @@ from matplotlib.figure import Figure
 
 from wlr_render import __version__
 from wlr_render.io.atomic_files import write_figure
-from wlr_render.report.blocks import Estimate, Picture, Plot, Report, ReportTable, Section, Text, table
+from wlr_render.report.blocks import Estimate, Number, Picture, Plot, Report, ReportTable, Section, Text, table
 from wlr_render.report.plots import bars
 from wlr_render.report.records import json_text, to_jsonable
 from wlr_render.report.save import markdown_table, save_report
@@ -209,6 +210,14 @@ def test_numbers_of_a_list_share_a_line() -> None:
 def test_a_value_is_rounded_by_its_error(value: float, error: float, digits: int, text: str) -> None:
     assert str(Estimate(value, error, digits=digits)) == text
     assert str(Estimate(value, error, "mm", digits)) == f"{text} mm"
+
+
+def test_a_number_with_a_format_of_its_own_is_whole_in_the_json_file(tmp_path: Path) -> None:
+    table = ReportTable("T", ["x (mm)"], [[Number(0.12345, "+.3f")], [Number(np.nan, "+.3f")]])
+    table = pickle.loads(pickle.dumps(table))
+    saved = save_report(Report("T", blocks=[table]), tmp_path)
+    assert [row["x (mm)"] for row in json.loads(saved.files[2].read_text())["tables"][0]["rows"]] == [0.12345, None]
+    assert "| +0.123 |\n| - |" in saved.files[1].read_text()
 
 
 def test_a_value_with_its_error_is_a_number_in_the_json_file(tmp_path: Path) -> None:

@@ -11,8 +11,15 @@ from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse
 from wlr_render.diagnosis.observations import PART_NAMES, PART_UNITS
 from wlr_render.diagnosis.report_warnings import stated_prior
-from wlr_render.diagnosis.verdict_sentences import AXES_NOTE, RESIDUALS, odds_text, undetermined_parts, value_text
-from wlr_render.report.blocks import Cell, Estimate, ReportTable, table
+from wlr_render.diagnosis.verdict_sentences import (
+    AXES_NOTE,
+    CERTAIN,
+    RESIDUALS,
+    odds_text,
+    undetermined_parts,
+    value_text,
+)
+from wlr_render.report.blocks import Cell, Estimate, Number, ReportTable, table
 
 _UNCHANGED = 0.05  # percent: rounds to 0.0
 _RANKED = 6  # candidates of each place that the table shows
@@ -88,7 +95,7 @@ def in_use_table(in_use: ImprovementInUse) -> ReportTable:
     for what, each in (("refitted models", in_use.calibrated), ("device's prescription", in_use.prescribed)):
         if each is not None:
             gain = 100 * (1 - each.after.rms / each.before.rms)
-            said = f"{gain:.1f}" if abs(gain) >= _UNCHANGED else "unchanged"
+            said = Number(gain, ".1f") if abs(gain) >= _UNCHANGED else "unchanged"
             rows.append([f"picture rendered with the {what}", each.before.rms, each.after.rms, said])
     columns = ("error, rms (arcmin)", "bench as described", "corrected bench", "improvement (%)")
     notes = (
@@ -149,7 +156,7 @@ def degenerate_table(diagnosis: DiagnosisRecord) -> ReportTable:
         {
             "cause": "cause.name",
             "nearly the same effect": "each.name",
-            "share of its gain": lambda row: f"{100.0 * row.each.share_of_gain:.1f} %",
+            "share of its gain (%)": lambda row: Number(100.0 * row.each.share_of_gain, ".1f"),
             "measurement that separates them": "each.separated_by",
         },
         (note,),
@@ -220,10 +227,10 @@ def excluded_table(diagnosis: DiagnosisRecord) -> ReportTable:
     )
 
 
-def _component(attribute: str, number: int, moved: MovedCapture) -> str | None:
+def _component(attribute: str, number: int, moved: MovedCapture) -> Cell:
     """Return one component of a move; None where the move is not known."""
     values = getattr(moved, attribute)
-    return None if values is None else f"{values[number]:+.3f}"
+    return None if values is None else Number(values[number], "+.3f")
 
 
 def effects_table(diagnosis: DiagnosisRecord) -> ReportTable:
@@ -337,6 +344,8 @@ def with_unit(parameter: str, unit: str) -> str:
     return parameter if unit == "1" else f"{parameter} ({unit})"
 
 
-def _odds(log10_odds: float) -> str | None:
-    """Return log10 odds as text; None where they are not known."""
-    return odds_text(log10_odds) if np.isfinite(log10_odds) else None
+def _odds(log10_odds: float) -> Cell:
+    """Return log10 odds, as words where the number says no more; None where they are not known."""
+    if not np.isfinite(log10_odds):
+        return None
+    return odds_text(log10_odds) if log10_odds > CERTAIN else Number(log10_odds, ".1f")

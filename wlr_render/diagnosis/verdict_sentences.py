@@ -51,7 +51,7 @@ _CLEAR = 3.0  # standard errors from which the verdict counts a value
 _UNSURE = 0.5  # relative error of a size from which only its upper limit is stated
 _ABOUT_HALF = 0.05  # difference of a share from one half that is not worth a number
 _AS_STATED = 0.02  # relative difference of the noise that is not worth a word
-_CERTAIN = 20.0  # log10 odds beyond which the number says no more
+CERTAIN = 20.0  # log10 odds beyond which the number says no more
 _MATRIX = "[["  # start of a typed list of lists, which is too long for a sentence
 
 AXES_NOTE = (
@@ -354,7 +354,7 @@ def _typed(value: Any, sigma: Any) -> str:
 
 def odds_text(log10_odds: float) -> str:
     """Return log10 odds, capped where the number says no more."""
-    return f"> {_CERTAIN:.0f}" if log10_odds > _CERTAIN else f"{log10_odds:.1f}"
+    return f"> {CERTAIN:.0f}" if log10_odds > CERTAIN else f"{log10_odds:.1f}"
 
 
 def value_text(parameter: ParameterValue) -> str:

@@ -178,7 +178,6 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
         blocks=blocks,
         inputs=[device_path(options.device), scene_path(options.scene)],
         files=files,
-        record={"device": device.name, "seed": options.seed},
     )
 
 

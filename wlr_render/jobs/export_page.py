@@ -10,7 +10,7 @@ from wlr_render.jobs.budget import source_table
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.options import eyes_of
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.report.blocks import Block, Cell, Columns, Picture, Report, ReportTable, Section, Text, table
+from wlr_render.report.blocks import Block, Cell, Columns, Number, Picture, Report, ReportTable, Section, Text, table
 
 _LISTED = 30
 """Views that the page lists."""
@@ -106,7 +106,7 @@ def _source_cameras(views: list[ExportedView]) -> ReportTable:
         camera = view.source.camera
         (left, bottom), (right, top) = camera.tangent_min.tolist(), camera.tangent_max.tolist()
         axes = "; ".join(" ".join(f"{value:.6f}" for value in row) for row in view.source.device_from_camera)
-        tangents = [f"{value:.6f}" for value in (left, right, bottom, top)]
+        tangents = [Number(value, ".6f") for value in (left, right, bottom, top)]
         panel, picture = (f"{width} x {height}" for width, height in (view.panel_size_px, camera.size_px))
         rows.append([eye, panel, picture, *tangents, axes])
     columns = [

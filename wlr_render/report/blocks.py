@@ -35,6 +35,18 @@ class Estimate:
         return f"{text} {self.unit}".rstrip()
 
 
+class Number(float):
+    """A number with the format of its text, e.g. "+.3f"."""
+
+    spec: str
+
+    def __new__(cls, value: float, spec: str = ".3g") -> "Number":
+        """Return the number; `spec` is as in `format`, and has a default because pickle states the value only."""
+        number = super().__new__(cls, value)
+        number.spec = spec
+        return number
+
+
 Cell = str | float | int | Estimate | None
 Columns = Mapping[str, str | Callable[[Any], Cell]]
 """Content of the columns of a table by head: an attribute of the row's record, e.g. "before.rms", or a function."""
@@ -203,9 +215,11 @@ class Report:
 
 
 def cell_text(cell: Cell) -> str:
-    """Return the text of a cell: three significant digits for floats, a dash for an empty cell or NaN."""
+    """Return the text of a cell: floats by their format or with three digits, a dash for an empty cell or NaN."""
     if cell is None or (isinstance(cell, float) and not math.isfinite(cell)):
         return "-"
+    if isinstance(cell, Number):
+        return format(float(cell), cell.spec)
     if not isinstance(cell, float):
         return str(cell)
     if cell != 0 and abs(cell) < 1e-4:

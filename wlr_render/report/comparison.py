@@ -80,7 +80,7 @@ def read_report(given: Path, verb: str) -> RecordedReport:
         verb: the verb that must have written it.
 
     Raises:
-        BadInputError: there is no such report, or it is another verb's, damaged, or of another version.
+        BadInputError: the report is missing, another verb's, damaged, or of another version.
     """
     remedy = f"name a report of {verb}, or run {verb} again to write it"
     path = _json_file(given, remedy)

@@ -450,7 +450,7 @@ def test_a_prescription_is_compared_with_no_prescription_and_the_best_kind_is_sa
     (saved,) = [kind for kind, row in kinds.items() if row[""] == "saved"]
     assert saved in ("grey-box", "prescription")
     assert table(again, "Fit")[0]["model"] == saved
-    assert kinds["planar"]["log10 odds against planar"] == "0.0"
+    assert kinds["planar"]["log10 odds against planar"] == 0.0
     assert float(kinds[saved]["log10 odds against planar"]) > 2.0
     assert kinds[saved]["display predicted (arcmin)"] < kinds["planar"]["display predicted (arcmin)"]
     assert "prescription" in again.verdict

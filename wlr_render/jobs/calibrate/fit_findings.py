@@ -15,7 +15,7 @@ from wlr_render.captures.correspondences import Captures
 from wlr_render.jobs.calibrate.fit_plots import position_names, predicted_maps, residual_plots
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.optics.assembly import ASSEMBLY_NAMES, ASSEMBLY_SIZES
-from wlr_render.report.blocks import Block, Cell, Columns, ReportTable, table
+from wlr_render.report.blocks import Block, Cell, Columns, Number, ReportTable, table
 
 AS_STATED = 1.5
 """Noise found over the stated one, or the reverse, from which a report warns."""
@@ -307,7 +307,7 @@ def _size_table(fit: Calibration) -> ReportTable:
         "captures that moved": lambda report: len(report.moved),
         "unsolved": "unsolved",
         "contraction": "contraction",
-        "log evidence": lambda report: f"{report.log_evidence:.1f}",
+        "log evidence": lambda report: Number(report.log_evidence, ".1f"),
     }
     notes = (
         "Coefficients that the captures determine; the smoothness of the optics holds the others.",
@@ -339,7 +339,7 @@ def _label_table(fit: Calibration) -> ReportTable:
         "label": "label",
         "groups": "groups",
         "mean square over the expected one": "ratio",
-        "log10 odds": lambda each: f"{each.log10_odds:.1f}",
+        "log10 odds": lambda each: Number(each.log10_odds, ".1f"),
         "errors, rms (arcmin)": "size_arcmin",
         "error of the model that they cause (arcmin)": "in_model_arcmin",
     }
@@ -373,7 +373,7 @@ def _kinds_table(comparison: KindComparison) -> ReportTable:
     columns: Columns = {
         "model": str,
         "": lambda kind: "saved" if kind == comparison.best else "",
-        "log10 odds against planar": lambda kind: f"{comparison.log10_odds(kind):.1f}",
+        "log10 odds against planar": lambda kind: Number(comparison.log10_odds(kind), ".1f"),
         **{
             f"{side} {name} (arcmin)": of(side, figures[name])
             for name in figures

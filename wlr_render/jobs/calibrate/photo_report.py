@@ -20,7 +20,7 @@ from wlr_render.io.atomic_files import write_figure
 from wlr_render.jobs.calibrate.eye_tables import binocular_table, primaries_table
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
 from wlr_render.jobs.decode import rejection_colours
-from wlr_render.report.blocks import Block, Cell, Columns, Estimate, Picture, Plot, ReportTable, Section, table
+from wlr_render.report.blocks import Block, Cell, Columns, Estimate, Number, Picture, Plot, ReportTable, Section, table
 from wlr_render.report.plots import bars
 
 _ACROSS = 6  # small pictures side by side
@@ -150,7 +150,11 @@ def _lens_table(found: SessionCalibration) -> ReportTable:
         sigma = np.sqrt(np.diag(adjustment.covariance_of([("lens", name)])))
         held = adjustment.state.blocks["lens", name].size <= EXACT
         rows += [
-            [f"{name} camera", value, f"{number:.6g}" if is_held else Estimate(float(number), float(one), digits=2)]
+            [
+                f"{name} camera",
+                value,
+                Number(number, ".6g") if is_held else Estimate(float(number), float(one), digits=2),
+            ]
             for value, number, one, is_held in zip(lens.names, lens.values, sigma, held, strict=True)
             if value != RESIDUAL
         ]

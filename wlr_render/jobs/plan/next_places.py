@@ -21,7 +21,7 @@ from wlr_render.planning.designs import offered, places_of
 from wlr_render.planning.place_choice import PlaceChoice, further_distance
 from wlr_render.planning.planned_bench import PlannedBench
 from wlr_render.planning.planned_errors import FAR_M, NEAR_M, EyeTests, PlannedFit, registration_variance
-from wlr_render.report.blocks import Block, Cell, Columns, Report, table
+from wlr_render.report.blocks import Block, Cell, Columns, Number, Report, table
 
 _ROWS = 220  # rows of each capture, with a smaller sigma for the same information at less cost
 _TESTS = 800
@@ -144,7 +144,7 @@ def _report(
         advice.append(f"Photograph the board from them at {target[0]:g} m, too: this lowers the error by {gain:.0f} %.")
 
     def of_last(k: int) -> Callable[[_Step], Cell]:
-        return lambda step: f"{1e3 * (step.places[-1] - box.centre)[k]:+.3f}" if len(step.places) else None
+        return lambda step: Number(1e3 * (step.places[-1] - box.centre)[k], "+.3f") if len(step.places) else None
 
     columns: Columns = {
         **{f"{axis} (mm)": of_last(k) for k, axis in enumerate("xyz")},

@@ -158,5 +158,5 @@ def plan(options: PlanOptions, *, progress: ProgressArgument = SILENT) -> Report
         places = bench.places(search.recommended.design.unit) - truth.eye_box.centre
     folder = output_folder(options.out)
     written = write_text(folder / PLACES_FILE, places_csv(places))
-    record = {"options": options, "places_mm": 1e3 * places} | dict(report.record)
+    record = {"places_mm": 1e3 * places} | dict(report.record)
     return replace(report, inputs=[*inputs, *report.inputs], files=[written], record=record)

@@ -12,7 +12,7 @@ from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.planning.planned_errors import DesignErrors, EyeTests, place_variance
 from wlr_render.planning.search import DesignSearch
-from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable
+from wlr_render.report.blocks import Block, Cell, Number, Plot, Report, ReportTable
 from wlr_render.report.plots import axis, curves
 
 _CELLS = 25  # cells of the map, across the eye box
@@ -70,7 +70,8 @@ def plan_report(search: DesignSearch, accuracy_arcmin: float, seconds: float) ->
 def places_table(places: FloatArray) -> ReportTable:
     """Places (m, 3) from the centre of the eye box, in random order."""
     rows: list[list[Cell]] = [
-        [number, *(f"{1e3 * each:+.3f}" for each in place)] for number, place in enumerate(in_random_order(places))
+        [number, *(Number(1e3 * each, "+.3f") for each in place)]
+        for number, place in enumerate(in_random_order(places))
     ]
     notes = (
         "From the centre of the eye box, device frame: x to the right, y up, z backward. Also in places.csv.",
