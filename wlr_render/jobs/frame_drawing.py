@@ -81,14 +81,7 @@ class OpenedFiles:
 
     def of_options(self, options: RenderOptions) -> dict[str, str]:
         """Hashes of the files that options name, by option."""
-        paths = {
-            "headset": headset_path(options.headset),
-            "red_model": options.red_model,
-            "blue_model": options.blue_model,
-            "scene": scene_path(options.scene),
-            "misalignment": headset_path(options.misalignment) if options.misalignment else None,
-        }
-        return {name: self.inputs[str(path)] for name, path in paths.items() if path}
+        return {name: self.inputs[str(path)] for name, path in named_files(options).items()}
 
     def sources(self, options: RenderOptions) -> dict[str, str]:
         """Return the names and hashes of the headset and of the scene, without local paths, for published data sets."""
@@ -99,6 +92,18 @@ class OpenedFiles:
     def middle(self) -> dict[str, Eye]:
         """Return the only or the green channel of each eye."""
         return {eye: middle_channel(of_eye) for eye, of_eye in self.channels.items()}
+
+
+def named_files(options: RenderOptions) -> dict[str, Path]:
+    """Return the files of headset, scene and true device, by the option that names each."""
+    paths = {
+        "headset": headset_path(options.headset),
+        "red_model": options.red_model,
+        "blue_model": options.blue_model,
+        "scene": scene_path(options.scene),
+        "misalignment": headset_path(options.misalignment) if options.misalignment else None,
+    }
+    return {name: path for name, path in paths.items() if path}
 
 
 def _open_truths(options: RenderOptions, channels: Mapping[str, EyeChannels]) -> dict[str, Eye]:

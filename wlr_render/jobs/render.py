@@ -24,7 +24,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.io.kept import LEDGER, Facts, Kept, recipe_of
 from wlr_render.jobs.budget import source_table
-from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, files_of, map_files, open_raster
+from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, files_of, map_files, named_files, open_raster
 from wlr_render.jobs.frame_labels import write_instances
 from wlr_render.jobs.frame_plan import (
     METADATA,
@@ -35,7 +35,7 @@ from wlr_render.jobs.frame_plan import (
     motion_of,
     planned_frames,
 )
-from wlr_render.jobs.headset import effect_warnings, headset_path
+from wlr_render.jobs.headset import effect_warnings
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.jobs.pack import pack_frames
@@ -43,7 +43,6 @@ from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, table
 from wlr_render.report.plots import curves
 from wlr_render.scene.image_files import read_png, write_video
-from wlr_render.scene.scene_file import scene_path
 from wlr_render.work.progress import SILENT, Progress
 
 _MOST_NAMES = 10  # largest number of changed frames in a warning
@@ -164,14 +163,13 @@ def _report(
     for eye, own in eyes.items():
         first = options.out / own[0]["file_name"]
         blocks.append(Picture(f"First frame, {eye} eye", first, "The image on the panel, before the optics."))
-    truth = [headset_path(options.misalignment)] if options.misalignment else []
     by_frame = [{"file": each["file_name"], **each["predicted_error"]} for each in frames if options.predicted_error]
     count = "1 frame" if drawn == 1 else f"{drawn} frames"
     return Report(
         f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
         f"{count} drawn, {kept} kept from an earlier run: {_counts_of_files(plan, options)} in {options.out}.",
         blocks=blocks,
-        inputs=list(dict.fromkeys([*_drawn_from(options), *truth, *filter(None, (options.head, options.eye_track))])),
+        inputs=list(dict.fromkeys([*named_files(options).values(), *filter(None, (options.head, options.eye_track))])),
         files=files,
         record={"frames_drawn": drawn, "frames_kept": kept} | ({"predicted_error": by_frame} if by_frame else {}),
     )
@@ -220,12 +218,6 @@ def _counts_of_files(plan: list[PlannedFrame], options: RenderOptions) -> str:
     layers = f", {len(plan)} EXR" if options.layers else ""
     of_each = f"{len(plan) // 2} of each eye, " if options.eye == "both" else ""
     return f"{of_each}{len(plan)} PNG" + (f", {maps} {options.maps.upper()}" if options.maps else "") + layers
-
-
-def _drawn_from(options: RenderOptions) -> list[Path]:
-    """Files of the headset and of the scene."""
-    models = filter(None, (options.red_model, options.blue_model))
-    return [headset_path(options.headset), *models, scene_path(options.scene)]
 
 
 def _redrawn_warnings(folder: Path, changed: list[PlannedFrame]) -> list[str]:
