@@ -3,6 +3,8 @@
 import inspect
 import json
 import typing
+from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import refused
@@ -13,14 +15,14 @@ from wlr_render.jobs.options import Against, NoEffect
 WITHOUT_REPORT = {"board", "pattern", "simulate"}
 
 
-def figures(folder):
+def figures(folder: Path) -> dict[str, Any]:
     """The tables of the comparison, by title."""
     record = json.loads((folder / "report.json").read_text())
     return {table["title"]: table["rows"] for table in record["comparison"]["tables"]}
 
 
 @pytest.mark.parametrize("verb", [verb.words for verb in VERBS])
-def test_every_verb_with_a_report_compares_it(verb):
+def test_every_verb_with_a_report_compares_it(verb: str) -> None:
     job = make_app()[verb].default_command
     hints = typing.get_type_hints(
         inspect.signature(job, eval_str=True).parameters["options"].annotation, include_extras=True
@@ -29,7 +31,9 @@ def test_every_verb_with_a_report_compares_it(verb):
     assert NoEffect() in Against.__metadata__
 
 
-def test_a_run_is_compared_with_the_run_before_it_in_the_same_folder(tmp_path, straight_device, capsys):
+def test_a_run_is_compared_with_the_run_before_it_in_the_same_folder(
+    tmp_path: Path, straight_device: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     assert main(["trace", straight_device, "--out", str(out)]) == 0
     first = json.loads((out / "report.json").read_text())
@@ -49,7 +53,9 @@ def test_a_run_is_compared_with_the_run_before_it_in_the_same_folder(tmp_path, s
     assert json.loads((out / "report.json").read_text())["tables"] == second["tables"]
 
 
-def test_other_reports_are_refused_before_work_begins(tmp_path, straight_device, capsys):
+def test_other_reports_are_refused_before_work_begins(
+    tmp_path: Path, straight_device: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     out, other = tmp_path / "out", tmp_path / "other"
     assert main(["trace", straight_device, "--out", str(other)]) == 0
     capsys.readouterr()

@@ -1,20 +1,31 @@
 """A report against an earlier one of the same verb: which figures are compared, and how."""
 
 import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from browser import needs_browser, open_page
 
 from wlr_render.errors import BadInputError
-from wlr_render.report.blocks import Estimate, Report, ReportTable, Section
+from wlr_render.report.blocks import Block, Cell, Estimate, Report, ReportTable, Section
 from wlr_render.report.comparison import read_report
 from wlr_render.report.save import save_report
 
 COLUMNS = ("eye", "source", "rms (arcmin)", "size", "model")
 
 
-def report(*rows, title="Errors at 1 m", options=None, more=(), inputs=(), columns=COLUMNS, sentence="Good."):
+def report(
+    *rows: Sequence[Cell],
+    title: str = "Errors at 1 m",
+    options: Mapping[str, object] | None = None,
+    more: Sequence[Block] = (),
+    inputs: Sequence[Path] = (),
+    columns: Sequence[str] = COLUMNS,
+    sentence: str = "Good.",
+) -> Report:
     blocks = [Section("Both eyes"), ReportTable(title, columns, rows), *more]
     return Report("T", sentence, blocks=blocks, verb="budget", options=options or {}, inputs=inputs)
 
@@ -27,7 +38,7 @@ BEFORE = report(
 )
 
 
-def compared(before, now, folder, name="report"):
+def compared(before: Report, now: Report, folder: Path, name: str = "report") -> tuple[dict[str, Any], str]:
     """The comparison in the JSON file, and the lines of the Markdown file; the earlier report is in `name`.json."""
     save_report(before, folder, name)
     saved = save_report(now, folder, before=(folder, read_report(folder, "budget")))
@@ -35,7 +46,7 @@ def compared(before, now, folder, name="report"):
     return {table["title"]: table for table in found}, saved.files[1].read_text()
 
 
-def test_figures_are_matched_by_table_row_and_column(tmp_path):
+def test_figures_are_matched_by_table_row_and_column(tmp_path: Path) -> None:
     now = report(
         ["right", "noise", 0.5, Estimate(1.0, 0.1), "planar"],
         ["left", "noise", 0.1, Estimate(11.0, 0.4, "um"), "volumetric"],
@@ -63,7 +74,7 @@ def test_figures_are_matched_by_table_row_and_column(tmp_path):
     assert "independent measurements" in text
 
 
-def test_a_table_with_another_option_in_its_title_is_the_same_table(tmp_path):
+def test_a_table_with_another_option_in_its_title_is_the_same_table(tmp_path: Path) -> None:
     now = report(["left", "noise", 0.4, None, "planar"], title="Errors at 2 m", options={"--depth-m": 2.0})
     tables, text = compared(BEFORE, now, tmp_path)
     (first, *_) = tables["Errors at 2 m (before: Errors at 1 m)"]["rows"]
@@ -73,7 +84,7 @@ def test_a_table_with_another_option_in_its_title_is_the_same_table(tmp_path):
     assert "Only in the earlier report: Errors at 1 m: left, bias; Errors at 1 m: right, noise." in text
 
 
-def test_rows_columns_and_tables_of_one_report_are_named(tmp_path):
+def test_rows_columns_and_tables_of_one_report_are_named(tmp_path: Path) -> None:
     other = [ReportTable("Others", ["n", "m"], [[k, k] for k in range(3)])]
     now = report(["left", "noise", 0.2, "z"], columns=("eye", "source", "rms (arcmin)", "kind"), more=other)
     _, text = compared(BEFORE, now, tmp_path)
@@ -84,20 +95,20 @@ def test_rows_columns_and_tables_of_one_report_are_named(tmp_path):
     assert "Errors at 1 m: eye 9, noise; and 2 more." in text
 
 
-def test_rows_of_one_label_are_matched_in_their_order(tmp_path):
+def test_rows_of_one_label_are_matched_in_their_order(tmp_path: Path) -> None:
     before, now = (report(*(["left", "noise", 0.2, k * factor, "planar"] for k in (1, 2))) for factor in (1, 3))
     tables, _ = compared(before, now, tmp_path)
     assert [(row["before"], row["now"]) for row in tables["Errors at 1 m"]["rows"]] == [(1, 3), (2, 6)]
 
 
-def test_figures_that_differ_by_rounding_are_the_same(tmp_path):
+def test_figures_that_differ_by_rounding_are_the_same(tmp_path: Path) -> None:
     before, now = (report(["left", "noise", value, Estimate(value, 0.1), "m"]) for value in (0.2, 0.2 * (1 + 1e-12)))
     tables, text = compared(before, now, tmp_path)
     assert list(tables) == ["Options and inputs that differ"]
     assert "Of 4 figures that both reports have, 0 differ" in text
 
 
-def test_inputs_are_compared_by_content(tmp_path):
+def test_inputs_are_compared_by_content(tmp_path: Path) -> None:
     paths = [tmp_path / name for name in ("a.toml", "b.toml")]
     for path, content in zip(paths, "12", strict=True):
         path.write_text(content)
@@ -108,7 +119,7 @@ def test_inputs_are_compared_by_content(tmp_path):
     assert [value.partition(" (SHA-256 ")[0] for value in values] == [str(path) for path in paths]
 
 
-def test_the_earlier_report_may_be_named_by_any_of_its_files(tmp_path):
+def test_the_earlier_report_may_be_named_by_any_of_its_files(tmp_path: Path) -> None:
     files = save_report(BEFORE, tmp_path, "budget").files
     assert all(read_report(path, "budget") == read_report(tmp_path, "budget") for path in files)
 
@@ -130,14 +141,14 @@ def test_the_earlier_report_may_be_named_by_any_of_its_files(tmp_path):
         ),
     ],
 )
-def test_what_is_no_report_of_the_verb_is_refused(tmp_path, change, sentence):
+def test_what_is_no_report_of_the_verb_is_refused(tmp_path: Path, change: dict[str, Any], sentence: str) -> None:
     path = save_report(BEFORE, tmp_path).files[2]
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(BadInputError, match=f"report.json.*: {sentence}"):
         read_report(tmp_path, "budget")
 
 
-def test_a_folder_without_one_report_is_refused(tmp_path):
+def test_a_folder_without_one_report_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="holds no report; name a report of budget"):
         read_report(tmp_path, "budget")
     for stem in ("diagnosis", "signature"):
@@ -147,7 +158,7 @@ def test_a_folder_without_one_report_is_refused(tmp_path):
 
 
 @needs_browser
-def test_the_page_draws_the_ratios(tmp_path):
+def test_the_page_draws_the_ratios(tmp_path: Path) -> None:
     now = report(["left", "noise", 0.1, Estimate(11.0, 0.4, "um"), "planar"], ["left", "bias", 0, np.nan, "planar"])
     save_report(BEFORE, tmp_path)
     saved = save_report(now, tmp_path, before=(tmp_path, read_report(tmp_path, "budget")))
