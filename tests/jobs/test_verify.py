@@ -62,7 +62,7 @@ def test_the_command_line_judges_pairs(
     assert main(["verify", str(pairs), board, *given]) == 0
     assert "drawn dots lie" in capsys.readouterr().out
     record = json.loads((tmp_path / "verified" / "report.json").read_text(encoding="utf-8"))
-    assert record["provenance"]["options"]["--photographs"] == str(pairs)
+    assert record["provenance"]["options"]["--photographs"]["file"] == str(pairs)
 
 
 @pytest.mark.parametrize(
