@@ -108,6 +108,17 @@ def test_figures_that_differ_by_rounding_are_the_same(tmp_path: Path) -> None:
     assert "Of 4 figures that both reports have, 0 differ" in text
 
 
+def test_tables_of_one_title_are_told_by_their_sections(tmp_path: Path) -> None:
+    def of_both(size: float) -> Report:
+        tables = [
+            (Section(f"The {eye} eye"), ReportTable("Fit", ["n", "m"], [["a", size]])) for eye in ("left", "right")
+        ]
+        return Report("T", blocks=[block for pair in tables for block in pair], verb="budget")
+
+    tables, _ = compared(of_both(1.0), of_both(2.0), tmp_path)
+    assert {"The left eye: Fit", "The right eye: Fit"} < set(tables)
+
+
 def test_inputs_are_compared_by_content(tmp_path: Path) -> None:
     paths = [tmp_path / name for name in ("a.toml", "b.toml")]
     for path, content in zip(paths, "12", strict=True):

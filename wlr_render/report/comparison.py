@@ -193,16 +193,17 @@ class _Figure:
 
 @dataclass(frozen=True)
 class _Pair:
-    """A table in both reports."""
+    """A table in both reports; `prefix` is its section, if other tables have its title, and stands before the title."""
 
     before: RecordedTable
     now: RecordedTable
+    prefix: str = ""
 
     @property
     def title(self) -> str:
         """Title of the table; of both tables if it differs."""
         one, other = self.now.title, self.before.title
-        return one if one == other else f"{one} (before: {other})"
+        return f"{self.prefix}{one}" if one == other else f"{self.prefix}{one} (before: {other})"
 
     @cached_property
     def label_width(self) -> int:
@@ -241,7 +242,7 @@ class _Pair:
         heads = [f"column '{head}'" for head in side.columns if other.columns and head not in other.columns]
         others = self._rows(other)
         rows = [_in_words(key[0]) for key in self._rows(side) if key not in others]
-        return [f"{side.title}: {name}" for name in (*heads, *rows)]
+        return [f"{self.prefix}{side.title}: {name}" for name in (*heads, *rows)]
 
     def table(self) -> ReportTable:
         """Return the figures that differ."""
@@ -290,6 +291,8 @@ def _matched(before: Iterable[RecordedTable], now: Sequence[RecordedTable]) -> t
         pairs += [_Pair(earlier[name], later[name]) for name in later if name in earlier]
         left = [[one[name] for name in one if name not in other] for one, other in ((earlier, later), (later, earlier))]
     pairs.sort(key=lambda pair: now.index(pair.now))
+    count = Counter(each.title for each in now)
+    pairs = [replace(pair, prefix=f"{pair.now.section}: " * (count[pair.now.title] > 1)) for pair in pairs]
     return pairs, [[f"table '{each.title}'" for each in side] for side in left]
 
 
@@ -338,7 +341,7 @@ def _runs(before: RecordedReport, now: RecordedReport, path: Path) -> ReportTabl
 def _ratios(pairs: Iterable[_Pair]) -> list[Plot]:
     """Return a plot of the positive ratios that differ most from 1."""
     ratio = {
-        f"{pair.now.title}: {_in_words(each.label)}, {each.column}": each.ratio
+        f"{pair.prefix}{pair.now.title}: {_in_words(each.label)}, {each.column}": each.ratio
         for pair in pairs
         for each in pair.changed
         if each.ratio is not None and each.ratio > 0
