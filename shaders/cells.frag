@@ -6,18 +6,16 @@
 // the inverse depth for the cell of which it is the upper left corner. Channels lie one below the other.
 
 uniform sampler2D slope_offset[CHANNELS];
-#if ROWS
-uniform sampler2D camera_matrices;  // from the rays, for each row of the grid; three texels in each row
-#else
-uniform vec4 camera_matrix[3];  // from the rays
-#endif
+uniform bool has_row_matrices;
+uniform sampler2D row_matrices;  // from the rays, for each row of the grid; three texels in each row
+uniform vec4 camera_matrix[3];   // from the rays, for all rows
 uniform vec2 size_px;  // of the image
 uniform vec2 display_px_per_cell;
-#if HAS_INSET
+uniform bool is_inset;
+uniform bool has_inset;
 uniform sampler2D inset_paths;  // of the next sharper picture
 uniform sampler2D inset_ranges;
 uniform vec2 inset_size_px;
-#endif
 
 layout(location = 0) out vec4 path;  // at infinity, shift; x = MISSING without a ray
 layout(location = 1) out vec4 bend;  // second differences along the rows and along the columns
@@ -34,14 +32,12 @@ vec4 path_at(int channel, ivec2 point)
     vec4 ray = vec4(0.0);
     for (int k = 0; k < CHANNELS; ++k)
         ray = k == channel ? texelFetch(slope_offset[k], point, 0) : ray;
+    vec4 matrix[3] = camera_matrix;
+    if (has_row_matrices)
+        for (int k = 0; k < 3; ++k)
+            matrix[k] = texelFetch(row_matrices, ivec2(k, point.y), 0);
     vec4 found;
-#if ROWS
-    vec4 row_u = texelFetch(camera_matrices, ivec2(0, point.y), 0);
-    vec4 row_v = texelFetch(camera_matrices, ivec2(1, point.y), 0);
-    project_ray(ray, row_u, row_v, texelFetch(camera_matrices, ivec2(2, point.y), 0), found.xy, found.zw);
-#else
-    project_ray(ray, camera_matrix[0], camera_matrix[1], camera_matrix[2], found.xy, found.zw);
-#endif
+    project_ray(ray, matrix[0], matrix[1], matrix[2], found.xy, found.zw);
     // By its bits: compilers may take isnan for false.
     bool known = all(notEqual(floatBitsToUint(found) & 0x7f800000u, uvec4(0x7f800000u)));
     return known ? found : vec4(MISSING, 0.0, 0.0, 0.0);
@@ -124,12 +120,10 @@ vec2 range_of_cell(int channel, ivec2 point)
     vec4 middle = 0.5 * (low + high), size = high - low;
     float px_per_inverse_depth = length(max(abs(low.zw), abs(high.zw)));
     vec2 within = range_of_image();
-#if INSET
-    // A cell that shows nothing of the inset.
+    // A cell that shows nothing of an inset.
     vec2 reach = within.y * max(abs(low.zw), abs(high.zw)) + SLACK_PX;
-    if (any(lessThan(high.xy + reach, vec2(0.0))) || any(greaterThan(low.xy - reach, size_px)))
+    if (is_inset && (any(lessThan(high.xy + reach, vec2(0.0))) || any(greaterThan(low.xy - reach, size_px))))
         return vec2(MISSING);
-#endif
     for (int k = 0; k < 2; ++k) {
         float width_px = max(size.x, size.y) + within.y * max(size.z, size.w) + SLACK_PX;
         within = narrowed(middle.xy, middle.zw, within, width_px, size_px);
@@ -152,9 +146,7 @@ void main()
     vec2 mixed = mixed_difference(channel, point);
     bool has_cell = all(lessThan(point, last));
     mixed_bend_and_range = vec4(mixed, has_cell ? range_of_cell(channel, point) : vec2(0.0));
-#if HAS_INSET
     // All that the cell may show lies inside the next sharper picture, which is drawn over this one.
-    if (is_filled(inset_paths, inset_ranges, point, inset_size_px))
+    if (has_inset && is_filled(inset_paths, inset_ranges, point, inset_size_px))
         mixed_bend_and_range.zw = vec2(COVERED);
-#endif
 }

@@ -19,13 +19,12 @@ in vec2 panel_place;
 #endif
 
 #if OVERLAYS
-uniform sampler2D overlays[OVERLAYS];
-uniform vec3 overlay_place[3 * OVERLAYS];  // rows that take a pixel of the image to the place on a quad, times its inverse depth
+uniform int overlay_count;
+uniform sampler2D overlays[MAX_OVERLAYS];
+uniform vec3 overlay_place[3 * MAX_OVERLAYS];  // rows that take a pixel of the image to the place on a quad, times its inverse depth
 #endif
-#if INSET
+uniform bool is_inset;           // a sharper picture of a part, drawn over the wider one
 uniform vec4 widest_from_inset;  // scale and offset of pixels
-flat in float filled;
-#endif
 
 in vec2 grid_place;
 in vec4 path[CHANNELS];
@@ -34,12 +33,12 @@ in vec2 mixed_bend[CHANNELS];
 flat in float known[CHANNELS];
 flat in vec2 cell;
 flat in vec2 range;
+flat in float samples_per_axis;
+flat in float filled;  // 1 if an inset's wider picture is not drawn here
 
 layout(location = 0) out vec4 colour;
-#if WITH_STATUS
+#if OUTPUTS
 layout(location = 1) out uint worst_status;
-#endif
-#if WITH_SOURCE
 layout(location = 2) out vec2 source;
 #endif
 
@@ -63,16 +62,16 @@ vec2 missed_by_triangles(int channel)
 // The mean over a display pixel, whose sides appear in the image as `across` and `down`.
 vec4 filtered_light(vec2 pixel, vec2 across, vec2 down)
 {
-#if SAMPLES_PER_AXIS == 1
-    return texture(picture, pixel * per_texel);
-#else
+    // Tested at its end: software renderers run one round too many of a loop that is tested at its head.
     vec4 sum = vec4(0.0);
-    for (int i = 0; i < SAMPLES_PER_AXIS * SAMPLES_PER_AXIS; ++i) {
-        vec2 place = (vec2(i % SAMPLES_PER_AXIS, i / SAMPLES_PER_AXIS) + 0.5) / float(SAMPLES_PER_AXIS) - 0.5;
-        sum += texture(picture, (pixel + place.x * across + place.y * down) * per_texel);
-    }
-    return sum / float(SAMPLES_PER_AXIS * SAMPLES_PER_AXIS);
-#endif
+    float i = 0.0, count = samples_per_axis * samples_per_axis;
+    do {
+        float row = floor((i + 0.5) / samples_per_axis);
+        vec2 place = (vec2(i - row * samples_per_axis, row) + 0.5) / samples_per_axis - 0.5;
+        sum += textureLod(picture, (pixel + place.x * across + place.y * down) * per_texel, 0.0);
+        i += 1.0;
+    } while (i < count);
+    return sum / count;
 }
 
 #if OVERLAYS
@@ -123,10 +122,9 @@ void main()
         pixel = at_infinity + texture(inverse_depth, nearby * per_texel).r * shift;
         int status = SEEN;
 #endif
-        bool inside = all(greaterThanEqual(pixel, vec2(0.5 * INSET))) && all(lessThanEqual(pixel, size_px - 0.5 * INSET));
-#if INSET
+        float margin = is_inset ? 0.5 : 0.0;
+        bool inside = all(greaterThanEqual(pixel, vec2(margin))) && all(lessThanEqual(pixel, size_px - margin));
         inside = inside || filled == 1.0;  // never a hole, whatever the depths
-#endif
         status = lost ? NO_RAY : (inside ? status : OUTSIDE);
         bool found = status <= DISOCCLUDED;
 
@@ -134,7 +132,7 @@ void main()
         vec3 share = CHANNELS == 1 ? vec3(1.0) : vec3(equal(ivec3(0, 1, 2), ivec3(channel)));
         vec4 seen = found ? vec4(sampled.rgb, max(sampled.a, opaque)) : vec4(background, opaque);
 #if OVERLAYS
-        for (int k = 0; k < OVERLAYS; ++k) {
+        for (int k = 0; k < overlay_count; ++k) {
             vec4 over = overlay_light(k, at_infinity, shift);
             seen = lost ? seen : over + (1.0 - over.a) * seen;
         }
@@ -144,20 +142,16 @@ void main()
         worst = max(worst, status);
         seen_at = channel == CHANNELS / 2 ? (found ? pixel : vec2(NOWHERE)) : seen_at;
     }
-#if INSET
     // The wider picture is drawn there already.
-    if (worst > DISOCCLUDED)
+    if (is_inset && worst > DISOCCLUDED)
         discard;
-    seen_at = seen_at * widest_from_inset.xy + widest_from_inset.zw;
-#endif
+    seen_at = is_inset ? seen_at * widest_from_inset.xy + widest_from_inset.zw : seen_at;
 #if UNIFORMITY
     light *= texture(uniformity, panel_place).rgb;
 #endif
     colour = vec4(code_of(light), alpha);
-#if WITH_STATUS
+#if OUTPUTS
     worst_status = uint(worst);
-#endif
-#if WITH_SOURCE
     source = seen_at;
 #endif
 }

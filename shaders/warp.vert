@@ -1,16 +1,15 @@
 #version 410
+#include "insets.glsl"
 // The cells of a warp grid as two triangles each, cut from the upper right to the lower left; those that the program is
-// for (sampled directly, or marched; filtered or not), the others without area.
+// for (sampled directly, or marched), the others without area.
 
 uniform sampler2D paths;  // see cells.frag
 uniform sampler2D bends;
 uniform sampler2D mixed_bends_and_ranges;
 uniform bool top_row_first;
-#if INSET
-#include "insets.glsl"
+uniform bool is_inset;
 uniform sampler2D picture;
-flat out float filled;  // 1 if the wider picture is not drawn here
-#endif
+uniform float minified_samples_per_axis;  // of a display pixel where the map minifies
 
 out vec2 grid_place;
 #if UNIFORMITY
@@ -22,6 +21,8 @@ out vec2 mixed_bend[CHANNELS];
 flat out float known[CHANNELS];  // 1 if the triangle's three points have rays
 flat out vec2 cell;
 flat out vec2 range;  // of inverse depth along the cell's paths
+flat out float samples_per_axis;
+flat out float filled;  // 1 if an inset's wider picture is not drawn here
 invariant gl_Position;  // several programs draw the cells of one picture, which must meet without holes
 
 const ivec2 CORNERS[6] = ivec2[](ivec2(0, 0), ivec2(1, 0), ivec2(0, 1), ivec2(1, 0), ivec2(1, 1), ivec2(0, 1));
@@ -51,15 +52,16 @@ void main()
         direct = direct && of_cell.x >= of_cell.y;
         range = vec2(min(range.x, min(of_cell.x, of_cell.y)), max(range.y, max(of_cell.x, of_cell.y)));
     }
-#if INSET
-    filled = is_filled(paths, mixed_bends_and_ranges, upper_left, vec2(textureSize(picture, 0))) ? 1.0 : 0.0;
-#endif
+    filled = 0.0;
+    if (is_inset)
+        filled = is_filled(paths, mixed_bends_and_ranges, upper_left, vec2(textureSize(picture, 0))) ? 1.0 : 0.0;
+    samples_per_axis = minified ? minified_samples_per_axis : 1.0;
     cell = vec2(upper_left);
     grid_place = vec2(point);
 #if UNIFORMITY
     panel_place = vec2(point) / vec2(points - 1);
 #endif
     vec2 place = 2.0 * vec2(point) / vec2(points - 1) - 1.0;
-    bool mine = !skipped && direct == (MARCH == 0) && (minified == (SAMPLES_PER_AXIS > 1) || FILTERS == 0);
+    bool mine = !skipped && direct == (MARCH == 0);
     gl_Position = mine ? vec4(place.x, top_row_first ? place.y : -place.y, 0.0, 1.0) : vec4(0.0, 0.0, 0.0, 1.0);
 }

@@ -223,9 +223,23 @@ def test_prepared_compositors_compile_nothing_later(
     made.submit_overlay(np.zeros((4, 4, 4), np.uint8), device_from_quad=at(0, 0, -1))
     for into in (None, target):
         made.compose(into)
+    made.compose(with_source=True).source()
     assert not compiled
-    made.compose(with_source=True)
+    with made.context.drawing() as ctx:
+        ctx.program(vertex_shader="#version 410\nvoid main() { gl_Position = vec4(0.0); }")
     assert compiled
+
+
+def test_layers_insets_and_kinds_of_frames_share_their_programs(
+    compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled: list[Any] = []
+    compile_program = moderngl.Context.program
+    monkeypatch.setattr(
+        moderngl.Context, "program", lambda *given, **named: compiled.append(named) or compile_program(*given, **named)
+    )
+    compositor(planar(), context="egl").prepare(overlays=4, insets=True)
+    assert 0 < len(compiled) <= 17
 
 
 def test_pictures_are_read_without_waiting_and_stay_as_they_were(

@@ -347,7 +347,7 @@ class Compositor:
         """Compile all shaders, so that no frame has to: draws once in every mode, which can take a few seconds.
 
         Args:
-            overlays: the most overlays that an eye will show at once, 0 to 4; each number needs separate shaders.
+            overlays: the most overlays that an eye will show at once, 0 to 4; with any, further shaders are compiled.
             insets: whether insets will be submitted.
 
         Raises:

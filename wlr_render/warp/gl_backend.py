@@ -22,7 +22,7 @@ from wlr_render.warp.gl_warp import GlWarp, GpuWarped, WarpedPicture, WarpTarget
 from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.panel_light import PanelLight
 from wlr_render.warp.picture_import import PictureImport
-from wlr_render.warp.raster_camera import MAX_SAMPLES, EyePlan
+from wlr_render.warp.raster_camera import EyePlan
 from wlr_render.warp.ray_map import RayMapPlan, RayMapSolver, choose_plan
 from wlr_render.warp.stored_picture import Rows, StoredColour, StoredDepth
 from wlr_render.warp.target_framebuffers import TargetFramebuffers
@@ -152,12 +152,11 @@ class GlEye:
         if overlays:
             OverlayImport(self._context)
         overlay = SeenOverlay(image.colour, np.eye(3))
-        all_samples = [WarpedPicture(image, samples) for samples in range(1, MAX_SAMPLES + 1)] if insets else []
         for poses, target, pictures, over in itertools.product(
             (np.eye(4), np.broadcast_to(np.eye(4), (plan.size_px[1], 4, 4))),
             (None, WarpTarget(framebuffer, (0, 0), plan.size_px, False)),
-            ([picture], [picture, *all_samples])[: 1 + insets],
-            [[overlay] * count for count in range(overlays + 1)],
+            ([picture], [picture, picture])[: 1 + insets],
+            ([], [overlay])[: 1 + bool(overlays)],
         ):
             self._composed(pictures, at, poses, target, False, over)
         self.generation += 1

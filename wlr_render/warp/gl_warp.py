@@ -1,6 +1,5 @@
 """Backward warp of an intermediate image on the GPU; `warp.py` states the algorithm."""
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -35,6 +34,7 @@ _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
     "DIRECT_PX": DIRECT_PX,
     "SPACING_PX": SPACING_PX,
     "MISSING": 1e30,
+    "MAX_OVERLAYS": MAX_OVERLAYS,
 }
 
 
@@ -149,7 +149,7 @@ class GlWarp:
                 f"source {with_source}", size_px, (4, self._panel.texture_kind), (1, "u1"), *source_format
             )
             target = WarpTarget(made.framebuffer, (0, 0), size_px, True)
-            constants = {"WITH_STATUS": 1, "WITH_SOURCE": int(with_source)}
+            constants = {"OUTPUTS": 1}
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
             self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, **constants)
         colour, status, *source = made.textures
@@ -169,7 +169,7 @@ class GlWarp:
         """Draw the colour of the same image into a caller's framebuffer; arguments and errors as `draw`."""
         with self._context.drawing():
             before = target.framebuffer.viewport
-            constants = {"WITH_STATUS": 0, "WITH_SOURCE": 0}
+            constants = {"OUTPUTS": 0}
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
             try:
                 self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, **constants)
@@ -195,14 +195,13 @@ class GlWarp:
             cells.insert(0, self._cells[k].draw(*drawn, is_inset=k > 0, inset=cells[0] if cells else None))
         target.framebuffer.viewport = (*target.first_px, *target.size_px)
         self._context.draw_to(target.framebuffer)
-        constants["OVERLAYS"] = len(overlays)
+        constants["OVERLAYS"] = int(bool(overlays))
         light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
         columns, rows = ray_maps[0].warp_grid.size
         for k, (picture, of_picture) in enumerate(zip(pictures, cells, strict=True)):
-            uniforms = {"background": light, "top_row_first": target.top_row_first}
-            if k and constants["WITH_SOURCE"]:
-                uniforms["widest_from_inset"] = pixels_from(picture.image.camera, pictures[0].image.camera)
-            for drawing in self._prepared(picture, of_picture, overlays, constants | {"INSET": int(k > 0)}, uniforms):
+            uniforms = {"background": light, "top_row_first": target.top_row_first, "is_inset": k > 0}
+            uniforms["widest_from_inset"] = pixels_from(picture.image.camera, pictures[0].image.camera)
+            for drawing in self._prepared(picture, of_picture, overlays, constants, uniforms):
                 drawing.render(vertices=6 * (columns - 1) * (rows - 1))
 
     def _prepared(
@@ -218,11 +217,13 @@ class GlWarp:
         gl.read_between_texels(image.colour)
         textures: dict[str, Any] = dict(self._panel.textures)
         if overlays:
-            textures["overlays"] = [each.texture for each in overlays]
-            places = np.concatenate([each.place_of_ray @ image.camera.camera_from_image for each in overlays])
-        constants = constants | {"FILTERS": int(picture.samples_per_axis > 1)}
-        for march, samples in itertools.product((0, 1), sorted({1, picture.samples_per_axis})):
-            drawing = self._drawing(MARCH=march, SAMPLES_PER_AXIS=samples, **constants)
+            textures["overlays"] = [overlays[k % len(overlays)].texture for k in range(MAX_OVERLAYS)]
+            places = np.zeros((3 * MAX_OVERLAYS, 3))
+            on_quads = [each.place_of_ray @ image.camera.camera_from_image for each in overlays]
+            places[: 3 * len(overlays)] = np.concatenate(on_quads)
+        uniforms = uniforms | {"minified_samples_per_axis": float(picture.samples_per_axis)}
+        for march in (0, 1):
+            drawing = self._drawing(MARCH=march, **constants)
             program = drawing.program
             gl.bind_textures(
                 program,
@@ -236,6 +237,7 @@ class GlWarp:
             )
             if overlays:
                 gl.set_array(program, "overlay_place", places)
+                gl.set_uniforms(program, overlay_count=len(overlays))
             gl.set_uniforms(program, opaque=0.0 if image.has_alpha else 1.0, **uniforms)
             yield drawing
 
@@ -283,20 +285,21 @@ class _GlCells:
         matrices = image.camera.image_from_camera @ image_from_ray_map
         by_rows = matrices.ndim == 3
         cells = self._targets.get("cells", (warp_grid.columns, warp_grid.rows * self._channels), *[(4, "f4")] * 3)
-        constants = {"CHANNELS": self._channels, "ROWS": int(by_rows)}
-        constants |= {"INSET": int(is_inset), "HAS_INSET": int(inset is not None)}
-        drawing = self._context.full_screen("cells.frag", **constants, **_CONSTANTS)
+        drawing = self._context.full_screen("cells.frag", CHANNELS=self._channels, **_CONSTANTS)
         program = drawing.program
-        textures: dict[str, Any] = {"ranges": ranges.pyramid, "slope_offset": [each.slope_offset for each in ray_maps]}
+        rays = [each.slope_offset for each in ray_maps]
+        textures: dict[str, Any] = {"ranges": ranges.pyramid, "slope_offset": rays}
+        textures |= {"row_matrices": rays[0], "inset_paths": rays[0], "inset_ranges": rays[0]}  # unless there are some
         if by_rows:
-            rows = self._targets.get("camera matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
+            rows = self._targets.get("row matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
             rows.write(np.ascontiguousarray(_at_grid_rows(matrices, warp_grid.rows), np.float32))
-            textures["camera_matrices"] = rows
+            textures["row_matrices"] = rows
         else:
             gl.set_array(program, "camera_matrix", matrices)
         if inset is not None:
             textures |= {"inset_paths": inset.paths, "inset_ranges": inset.mixed_bends_and_ranges}
             gl.set_uniforms(program, inset_size_px=tuple(map(float, inset.size_px)))
+        gl.set_uniforms(program, has_row_matrices=by_rows, is_inset=is_inset, has_inset=inset is not None)
         self._context.draw_to(cells.framebuffer)
         gl.bind_textures(program, **textures)
         per_cell = (display_size_px[0] / (warp_grid.columns - 1), display_size_px[1] / (warp_grid.rows - 1))
