@@ -17,7 +17,7 @@ BLOCK = os.sysconf("SC_PAGE_SIZE")
 MOST_STEPS = 6
 
 
-def outcome(name: str, free_blocks, whole: bytes) -> bool:
+def outcome(name: str, free_blocks: int, whole: bytes) -> bool:
     """Write over an old file with so many free blocks; returns whether it was written."""
     target, ballast = DISK / name, DISK / "ballast"
     target.write_bytes(b"old")

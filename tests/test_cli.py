@@ -282,7 +282,7 @@ def test_an_empty_value_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-def empty_mesh(folder) -> str:
+def empty_mesh(folder: Path) -> str:
     path = folder / "empty.ply"
     header = ("ply", "format ascii 1.0", "element vertex 0", "property float x", "property float y", "property float z")
     faces = ("element face 0", "property list uchar int vertex_indices", "end_header")
@@ -290,7 +290,7 @@ def empty_mesh(folder) -> str:
     return str(path)
 
 
-def mesh_with_nan(folder) -> str:
+def mesh_with_nan(folder: Path) -> str:
     path = folder / "nan.ply"
     header = ("ply", "format ascii 1.0", "element vertex 3", "property float x", "property float y", "property float z")
     faces = ("element face 1", "property list uchar int vertex_indices", "end_header")
@@ -298,7 +298,7 @@ def mesh_with_nan(folder) -> str:
     return str(path)
 
 
-def empty_obj(folder) -> str:
+def empty_obj(folder: Path) -> str:
     path = folder / "empty.obj"
     path.write_text("# nothing\n")
     return str(path)
@@ -310,11 +310,11 @@ def text_file(folder: Path, name: str, *lines: object) -> str:
     return str(path)
 
 
-def disordered_head(folder) -> str:
+def disordered_head(folder: Path) -> str:
     return text_file(folder, "head.tum", "0.0 0 0 0 0 0 0 1", "0.2 0 0 0 0 0 0 1", "0.1 0 0 0 0 0 0 1")
 
 
-def eyes_outside(folder) -> str:
+def eyes_outside(folder: Path) -> str:
     header = ("# format: wlr-eye-trajectory 1", "# kind: viewpoint", "# frame: openxr-device", "# units: s m")
     return text_file(folder, "eyes.txt", *header, "0.0 right 0.02 0 0", "0.1 right 0.02 0 0")
 

@@ -141,7 +141,7 @@ def faults_of_text(content: str) -> dict[Any, Any]:
     return {command: fault for command, fault in faults.items() if fault}
 
 
-def fault_of_span(span) -> str:
+def fault_of_span(span: str) -> str:
     """What is wrong with a span of code if it is a command: with the program's name, or a verb with options."""
     if match := re.match(rf"{PROGRAM}(.*)", span):
         return fault_of_command(match[1], complete=False, of_script=span.startswith("./wlr"))

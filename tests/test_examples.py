@@ -77,7 +77,7 @@ def few_readings(patch, folder: object) -> None:
     patch.setattr(wlr, "diagnose", partial(wlr.diagnose, causes=causes))
 
 
-def small_panels(patch, folder) -> None:
+def small_panels(patch, folder: Path) -> None:
     """A fraction of the panel's pixels."""
     paths = {name: changed_device(folder, name, change) for name, change in PIXELS.items()}
     patch.setattr(wlr, "open_eye", lambda device, eye="right": open_eye(paths[device], eye))

@@ -27,7 +27,7 @@ os.write(2, b"C library again\\n")
 """
 
 
-def printed_by(block: str, **how: Any):
+def printed_by(block: str, **how: Any) -> Any:
     code = CHATTER.replace("BLOCK", block)
     return subprocess.run([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, check=True, **how).stderr
 

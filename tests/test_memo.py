@@ -7,7 +7,7 @@ from memo import memoised
 def test_a_function_is_called_once_for_each_argument_whoever_asks(tmp_path: Path) -> None:
     calls = []
 
-    def doubled(number):
+    def doubled(number: float) -> float:
         calls.append(number)
         return 2 * number
 

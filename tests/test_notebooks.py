@@ -26,12 +26,12 @@ def read(path: Path):
     return nbformat.read(path, as_version=4)
 
 
-def stated_numbers(notebook) -> set[Any]:
+def stated_numbers(notebook: dict[str, Any]) -> set[Any]:
     text = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
     return set(NUMBER.findall(CODE_OR_LINK.sub("", text)))
 
 
-def shown(notebook) -> tuple[str, int]:
+def shown(notebook: dict[str, Any]) -> tuple[str, int]:
     """Text and pictures that the cells of a notebook show."""
     texts, pictures = [], 0
     for output in (output for cell in notebook.cells for output in cell.get("outputs", [])):

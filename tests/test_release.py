@@ -31,7 +31,7 @@ def check_wheel() -> ModuleType:
     return module
 
 
-def in_conda(requirement) -> str:
+def in_conda(requirement: Any) -> str:
     """A requirement of pyproject.toml as a recipe states it."""
     name, bound = present(re.fullmatch(r"([\w-]+)(>=[\w.]+)", requirement)).groups()
     bound = re.sub(r"(\d+\.\d+\.\d+)\.\d+$", r"\1", bound)  # a fourth number counts OpenCV's builds for pip
@@ -106,7 +106,7 @@ def test_the_instructions_list_every_extra() -> None:
 
 
 def test_a_library_of_two_extras_has_one_bound() -> None:
-    bounds = {}
+    bounds: dict[str, Any] = {}
     for requirements in PROJECT["optional-dependencies"].values():
         for requirement in requirements:
             name, bound = present(re.fullmatch(r"([\w-]+)(.*)", requirement)).groups()

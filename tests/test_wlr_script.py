@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def run_script(
-    folder: Path, arguments: Sequence[Any], commands: Mapping[Any, Any], opengl: str = "gl\n"
+    folder: Path, arguments: Sequence[Any], commands: Mapping[Any, Any], opengl: str | None = "gl\n"
 ) -> subprocess.CompletedProcess[str]:
     """Run a copy of `wlr` whose venv is complete, with `commands` (shell scripts by name) before all others."""
     bin_folder = folder / ".venv" / "bin"

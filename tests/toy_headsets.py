@@ -26,7 +26,7 @@ class CurvedImage:
         status = np.where(np.linalg.norm(pixel[0] - self.panel.size_px / 2, axis=-1) < self.hole_px, Status.MISS, 0)
         return QueryResult(np.where(status[..., None], np.nan, view_dir), status.astype(np.uint8))
 
-    def pixel_of_view_dir(self, view_dir: object, viewpoint: object, warm_start=None) -> NoReturn:
+    def pixel_of_view_dir(self, view_dir: object, viewpoint: object, warm_start: object = None) -> NoReturn:
         raise NotImplementedError
 
 
@@ -46,7 +46,7 @@ class LateralOffset:
         status = np.where(np.isfinite(tangents).all(-1), Status.OK, Status.MISS).astype(np.uint8)
         return QueryResult(rays.pack(viewpoint + offset, bent), status)
 
-    def view_dir_of_real_point(self, point: object, viewpoint: object, warm_start=None) -> NoReturn:
+    def view_dir_of_real_point(self, point: object, viewpoint: object, warm_start: object = None) -> NoReturn:
         raise NotImplementedError
 
 

@@ -69,13 +69,15 @@ def plan(bench: Bench) -> SessionPlan:
     capture = np.repeat(np.arange(3), len(grid))
     ones = np.ones(len(capture))
     display = DisplayPlan(
-        capture, 100.0 * capture, ones, place[capture], np.ones(len(capture), int), np.tile(grid, (3, 1))
+        capture, np.asarray(100.0 * capture), ones, place[capture], np.ones(len(capture), int), np.tile(grid, (3, 1))
     )
     x, y = np.meshgrid(np.arange(-2, 3), np.arange(-2, 3))
     dots = 0.03 * np.tile(np.stack([x, y], axis=-1).reshape(-1, 2), (3, 1))
     capture = np.repeat(np.arange(3), 25)
     poses = np.zeros(len(capture), dtype=int)
-    see_through = SeeThroughPlan(capture, 1000.0 + 100.0 * capture, np.ones(len(capture)), place[capture], poses, dots)
+    see_through = SeeThroughPlan(
+        capture, np.asarray(1000.0 + 100.0 * capture), np.ones(len(capture)), place[capture], poses, np.asarray(dots)
+    )
     return SessionPlan(display, see_through)
 
 

@@ -40,10 +40,12 @@ def plan(bench: Bench) -> SessionPlan:
     stage = (bench.stage.origin + rng.uniform(-0.003, 0.003, (CAPTURES, 3)))[capture]
     travel = np.array([1.0, -1.0])[capture % 2]
     pixel = rng.uniform([500, 400], [800, 600], (len(capture), 2))
-    display = DisplayPlan(capture, TIME_S[capture], travel, stage, np.tile([0, 1, 2], len(capture) // 3), pixel)
+    display = DisplayPlan(
+        capture, np.asarray(TIME_S[capture]), travel, stage, np.tile([0, 1, 2], len(capture) // 3), pixel
+    )
     dot = rng.uniform(-0.1, 0.1, (len(capture), 2))
     pose = np.repeat([0, 1], len(capture) // 2)
-    see_through = SeeThroughPlan(capture % 2, TIME_S[capture], travel, stage, pose, dot)
+    see_through = SeeThroughPlan(capture % 2, np.asarray(TIME_S[capture]), travel, stage, pose, dot)
     return SessionPlan(display, see_through)
 
 

@@ -62,16 +62,18 @@ def session(bench: Bench) -> Session:
     travel = np.array([1.0, -1.0])[capture % 2]
     pixel = rng.uniform([400, 300], [900, 700], (len(capture), 2))
     sigma_px = rng.uniform(0.05, 0.3, len(capture))
-    display = DisplayPlan(capture, time_s, travel, stage, capture % 3, pixel, sigma_px=sigma_px)
+    display = DisplayPlan(capture, np.asarray(time_s), travel, stage, capture % 3, pixel, sigma_px=sigma_px)
     turned = Rotation.from_rotvec(rng.normal(0, 0.02, (CAPTURES, 3))).as_matrix()[capture]
     dot = rng.uniform(-0.1, 0.1, (len(capture), 2))
-    see_through = SeeThroughPlan(capture, time_s, travel, stage, capture % 2, dot, pixel, orientation=turned)
+    see_through = SeeThroughPlan(
+        capture, np.asarray(time_s), travel, stage, capture % 2, dot, pixel, orientation=turned
+    )
     count = len(capture)
     head = rigid(Rotation.random(count, rng=rng).as_matrix(), rng.normal(0, 1, (count, 3)))
     gaze = dir_of_tangents(rng.uniform(-0.2, 0.2, (count, 2)))
     at = np.einsum("nij,nj->ni", head[:, :3, :3], [0.032, 0.0, -0.033] + 0.8 * gaze) + head[:, :3, 3]
     velocity, rate = rng.normal(0, 0.1, (2, count, 3))
-    run_time = RunTimePlan(capture, np.arange(count) * 0.1, head, velocity, rate, stage, gaze, at)
+    run_time = RunTimePlan(capture, np.asarray(np.arange(count) * 0.1), head, velocity, rate, stage, gaze, at)
     plan = SessionPlan(display, see_through, run_time)
     return Session("night", plan, simulate(bench, plan))
 

@@ -44,7 +44,14 @@ def plan_for(
     dot = np.einsum("nij,nj->ni", head[:, :3, :3], in_device) + head[:, :3, 3]
     velocity, rate = head[:, :3, :3] @ velocity, head[:, :3, :3] @ rate
     return RunTimePlan(
-        np.arange(ROWS), 0.1 * np.arange(ROWS), head, velocity, rate, viewpoint, dir_of_tangents(sight), dot
+        np.arange(ROWS),
+        np.asarray(0.1 * np.arange(ROWS)),
+        head,
+        np.array(velocity),
+        np.array(rate),
+        viewpoint,
+        dir_of_tangents(sight),
+        dot,
     )
 
 

@@ -54,7 +54,7 @@ def display_plan(bench: Bench, seed: int = 1) -> DisplayPlan:
     pixel = CENTRE + rng.uniform(-100, 100, (ROWS, 2))
     place = bench.stage.origin + rng.uniform(-4e-3, 4e-3, (ROWS, 3))
     count = np.arange(ROWS)
-    return DisplayPlan(count, 10.0 * count, np.where(count % 2, 1.0, -1.0), place, count % 3, pixel)
+    return DisplayPlan(count, np.asarray(10.0 * count), np.where(count % 2, 1.0, -1.0), place, count % 3, pixel)
 
 
 def see_through_plan(bench: Bench, seed: int = 2) -> SeeThroughPlan:

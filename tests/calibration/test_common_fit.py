@@ -32,7 +32,7 @@ def simulated(seed: int = 1, places: int = 9) -> tuple[Eye, Captures]:
     return truth, Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
-def stated(part: FeatureCaptures | None, target_m: float = 1e-3):
+def stated(part: FeatureCaptures | None, target_m: float = 1e-3) -> FeatureCaptures:
     """With a common error of the viewpoint in y and z, as large as `OFFSET_MM`, and of all targets along y."""
     assert part is not None
     names, poses = np.unique(part.capture), np.unique(getattr(part, "target_pose", np.zeros(0, int)))

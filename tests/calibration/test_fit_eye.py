@@ -177,7 +177,7 @@ def test_both_models_have_the_same_posterior_of_the_assembly_errors(drawn: tuple
     root = np.linalg.cholesky(found.covariance / np.outer(ASSEMBLY_SIZES, ASSEMBLY_SIZES))
     for fitted, trend in ((fits[0].display, trends.display), (fits[0].see_through, trends.see_through)):
         inputs = np.random.default_rng(0).uniform(trend.mean.box.low, trend.mean.box.high, (30, 4))
-        expected = trend.about(found.values / ASSEMBLY_SIZES, root)
+        expected = trend.about(found.values / ASSEMBLY_SIZES, np.asarray(root))
         assert fitted is not None
         np.testing.assert_allclose(fitted.smooth.polynomial(inputs), expected.mean(inputs), atol=1e-9)
         outputs = fitted.smooth.polynomial.coefficients.shape[1]

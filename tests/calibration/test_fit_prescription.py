@@ -1,7 +1,7 @@
 """Prescriptions with fitted assembly errors, on captures of headsets that differ from them."""
 
 from dataclasses import replace
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_the_prior_of_the_assembly_errors_is_gaussian_however_large_they_are(mon
     class SolverReachedError(Exception):
         pass
 
-    def solver(residual, start, *, loss, f_scale, **_: object) -> NoReturn:
+    def solver(residual: Any, start: Any, *, loss: Any, f_scale: Any, **_: object) -> NoReturn:
         """An error of 6 sizes costs 18, a reading off by 6 sizes less."""
         square = (np.full(len(residual(start)), 6.0) / f_scale) ** 2
         cost = 0.5 * f_scale**2 * loss(square)[0]

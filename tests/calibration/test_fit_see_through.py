@@ -196,7 +196,7 @@ def test_precise_captures_outweigh_imprecise_ones(kind: str) -> None:
     both = concatenate([precise, imprecise])
     point, viewpoint, view_dir = truth_at(1.0, 0.0)
 
-    def error_arcmin(captures):
+    def error_arcmin(captures: SeeThroughCaptures):
         mapping = fit_see_through(captures, kind, 3).mapping
         return np.sqrt(np.mean(arcmin_between(mapping.view_dir_of_real_point(point, viewpoint).value, view_dir) ** 2))
 

@@ -36,21 +36,21 @@ def places(seed: int, count: int) -> NDArray[Any]:
 def timed(captures: FeatureCaptures) -> FeatureCaptures:
     """With the times and directions of travel that a session records, visit after visit."""
     visit = captures.visits[1]
-    return replace(captures, time_s=30.0 * visit, travel=np.sign(np.sin(2.3 * visit)))
+    return replace(captures, time_s=np.asarray(30.0 * visit), travel=np.sign(np.sin(2.3 * visit)))
 
 
 def display(seed: int, count: int = 7) -> FeatureCaptures:
     return timed(display_captures(places(seed, count), sigma_arcmin=SIGMA, seed=seed))
 
 
-def drifted(seed):
+def drifted(seed) -> FeatureCaptures:
     """A camera that turns by half an arcminute while it warms up."""
     captures = display(seed)
     warm = 1.0 - np.exp(-3.0 * captures.time_s / captures.time_s.max())
     return replace(captures, view_dir=dir_of_tangents(captures.tangents + np.outer(warm, [0.6, -0.4]) * ARCMIN))
 
 
-def flickering(seed: int):
+def flickering(seed: int) -> FeatureCaptures:
     """A camera that turns to and fro by half an arcminute, faster than any drift of a fit."""
     captures = display(seed)
     slot = np.floor(6.0 * captures.time_s / (captures.time_s.max() + 1.0))
@@ -58,7 +58,7 @@ def flickering(seed: int):
     return replace(captures, view_dir=dir_of_tangents(captures.tangents + turn))
 
 
-def screwed(seed, size_m: float = 12e-6):
+def screwed(seed, size_m: float = 12e-6) -> FeatureCaptures:
     """A stage whose axis x has a lead screw with an error."""
     captures = display(seed)
     x, y, z = captures.viewpoint.T
@@ -98,7 +98,7 @@ def board(seed: int, size_m: float = 0.0) -> FeatureCaptures:
     )
 
 
-def curled(seed: int, size_arcmin: float = 0.05):
+def curled(seed: int, size_arcmin: float = 0.05) -> FeatureCaptures:
     """A board that bends anew at each pose: a few smooth dents, rms over the readings."""
     captures, rng = board(seed), np.random.default_rng([seed, 1])
     dot, off = captures.target_point[:, :2], np.zeros((len(captures), 2))
@@ -110,7 +110,7 @@ def curled(seed: int, size_arcmin: float = 0.05):
     return replace(captures, view_dir=dir_of_tangents(captures.tangents + off * ARCMIN))
 
 
-def murky(seed: int):
+def murky(seed: int) -> FeatureCaptures:
     """Noise of which neighbours in a photograph share a half."""
     captures, rng = display(seed, 5), np.random.default_rng([seed, 2])
     place, shared = captures.pixel / np.ptp(captures.pixel, axis=0), np.zeros((len(captures), 2))

@@ -133,7 +133,9 @@ def lab_display(seed: int, raster: bool = False, size: int = 7) -> DisplayCaptur
     grid = grid_in_plane(size, size)
     places = grid if raster else rng.permutation(grid + rng.uniform(-0.1, 0.1, grid.shape) * EYE_BOX.size[:2])
     captures = display_captures(places, sigma_arcmin=0.25, seed=seed)
-    return replace(captures, time_s=30.0 * captures.visits[1], travel=np.sign(np.sin(2.3 * captures.visits[1])))
+    return replace(
+        captures, time_s=np.asarray(30.0 * captures.visits[1]), travel=np.sign(np.sin(2.3 * captures.visits[1]))
+    )
 
 
 def drifting(captures, arcmin: float = 0.6):

@@ -18,7 +18,7 @@ def some_pose(rng: np.random.Generator) -> FloatArray:
     return transforms.rigid(transforms.rotations_of_vectors(rng.normal(size=3)), rng.normal(size=3))
 
 
-def drawn(pose: Pose, rng: np.random.Generator, count=DRAWS) -> FloatArray:
+def drawn(pose: Pose, rng: np.random.Generator, count: int = DRAWS) -> FloatArray:
     return small_motion(rng.multivariate_normal(np.zeros(6), pose.covariance, count)) @ pose.b_from_a
 
 

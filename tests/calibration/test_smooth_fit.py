@@ -50,7 +50,7 @@ def rim(captures, rng) -> DisplayCaptures:
     return kicked(captures, np.sqrt((1 + radius) ** 2 - 1)[:, None] * rng.normal(size=(len(captures), 2)))
 
 
-def drift(captures, rng):
+def drift(captures, rng) -> DisplayCaptures:
     """A stage that creeps by 20 um over a session that takes its positions in any order.
 
     Row by row the drift would be a smooth function of the place, which no captures tell from the optics.
@@ -58,7 +58,7 @@ def drift(captures, rng):
     return shifted(captures, rng.permutation(np.linspace(-1e-5, 1e-5, CAPTURES))[:, None] * [1.0, 0.5, 0.0])
 
 
-def stage_motion(captures, rng):
+def stage_motion(captures, rng) -> DisplayCaptures:
     return shifted(captures, rng.normal(0, 3e-5, (CAPTURES, 3)))
 
 
@@ -176,7 +176,7 @@ def test_optics_beyond_the_orders_are_not_taken_for_a_bad_stage() -> None:
 def test_readings_that_were_left_out_promise_nothing() -> None:
     """Further positions add to the readings in use: with none of them the covariance stays what it is."""
     readings = fit_display(clean(0)).smooth.readings
-    half = fit(readings, weights=np.arange(len(readings)) % 2.0)
+    half = fit(readings, weights=np.asarray(np.arange(len(readings)) % 2.0))
     variances = [
         np.trace(spread.covariance(readings.inputs[::7]), axis1=1, axis2=2).mean()
         for spread in (half.spread, half.spread_with(readings))

@@ -88,7 +88,7 @@ def rotary(folder: Path) -> PhotoSession:
         StageAxis("rotary"),
     )
     turned: dict[str, Any] = readings([0.0, 0.0, 0.0], [0.002, np.radians(20), 0.1], [0.0, np.radians(-20), -0.1])
-    session = three_axes(folder)
+    session: dict[str, Any] = three_axes(folder)
     return replace(
         session,
         stage=StageDescription(axes),
@@ -136,7 +136,7 @@ def fiducials(folder: Path) -> PhotoSession:
     )
 
 
-def optics_alone(folder) -> PhotoSession:
+def optics_alone(folder: Path) -> PhotoSession:
     session = three_axes(folder)
     axes = tuple(StageAxis("linear", direction) for direction in np.eye(3))
     return replace(
@@ -160,7 +160,7 @@ def one_bare_photograph(folder: Path) -> PhotoSession:
     return replace(session, stage=StageDescription(axes), bare=session.bare[:1])
 
 
-def first_target(folder) -> PhotoSession:
+def first_target(folder: Path) -> PhotoSession:
     session = three_axes(folder)
     return replace(session, gauge="target 0", display=(), tracking=(), tracking_camera=None, device_from_tracking=None)
 
@@ -185,7 +185,7 @@ def two_panels(folder: Path) -> PhotoSession:
     return both_eyes(folder, SessionPanel(make_pattern("gray-fringes", Panel(640, 400))))
 
 
-def colour(folder) -> PhotoSession:
+def colour(folder: Path) -> PhotoSession:
     session = three_axes(folder)
     offsets = {"red": np.array([-0.333, 0.0]), "blue": np.array([0.333, 0.25])}
     panel = SessionPanel(PANEL.pattern, offsets)
@@ -424,7 +424,7 @@ def test_an_example_of_the_manual_is_read(name: str, tmp_path: Path) -> None:
 
 
 def each_of(name: str, **keys: Sequence[int] | int | str) -> Callable[[Any], None]:
-    def change(content) -> None:
+    def change(content: dict[str, Any]) -> None:
         for table in content[name]:
             table.update(keys)
 
@@ -432,7 +432,7 @@ def each_of(name: str, **keys: Sequence[int] | int | str) -> Callable[[Any], Non
 
 
 def without(name: str, *keys: str) -> Callable[[Any], None]:
-    def change(content) -> None:
+    def change(content: dict[str, Any]) -> None:
         for table in content[name] if isinstance(content[name], list) else [content[name]]:
             for key in keys:
                 del table[key]

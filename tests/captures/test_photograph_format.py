@@ -1,6 +1,5 @@
 """Stored values of a camera's files become linear values, and saturation is seen where it happens."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +153,6 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         ({"bits": 8, "interpolate": False}, "'interpolate' is for raw files"),
     ],
 )
-def test_keys_that_cannot_be_right(tmp_path: Path, keys: Mapping[str, float | str], sentence: str) -> None:
+def test_keys_that_cannot_be_right(tmp_path: Path, keys: dict[str, Any], sentence: str) -> None:
     with pytest.raises(BadInputError, match=sentence):
         PhotographFormat.from_table(Table(keys, "session.toml [eyeball_camera]"), tmp_path)

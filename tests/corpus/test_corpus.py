@@ -1,6 +1,7 @@
 """Every case of the corpus, judged: no traceback, nothing accepted in silence, nothing left over."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from small_photo_session import in_this_process
@@ -17,7 +18,7 @@ from wlr_render.jobs import diagnose as diagnose_job
 FEW = {"target_scale", "tracking_translation", "eye_position_bias"}
 
 
-def diagnosed_by_few_causes(nominal, session, progress, causes, settings) -> Diagnosis:
+def diagnosed_by_few_causes(nominal: Any, session: Any, progress: Any, causes: Any, settings: Any) -> Diagnosis:
     """Diagnose by a few of the causes, and by those that a file states."""
     kept = {name: cause for name, cause in causes.items() if name in FEW or name not in CAUSES}
     return diagnose(nominal, session, progress, kept, settings)

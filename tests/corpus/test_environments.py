@@ -42,7 +42,7 @@ def run(command: str, folder: Path, **environment: Any) -> Outcome:
     return Outcome(done.returncode, done.stdout.decode(), done.stderr.decode(), False, 0.0, 0.0)
 
 
-def judged(folder: Path, command: str, expected: str, names: tuple[str] = (), **environment: Any) -> Outcome:
+def judged(folder: Path, command: str, expected: str, names: tuple[str, ...] = (), **environment: Any) -> Outcome:
     before = snapshot(folder)
     outcome = run(command, folder, **environment)
     case = replace(Case("", (), names=names), expected=expected)

@@ -65,7 +65,7 @@ def small_plan(bench: Bench) -> SessionPlan:
     # The places that are visited again show the same colour as before.
     channel = np.append(np.arange(16), [0, 1])[capture] % 3
     display = DisplayPlan(
-        capture, SECONDS * capture, travel[capture], place[capture], channel, np.tile(grid, (len(place), 1))
+        capture, np.asarray(SECONDS * capture), travel[capture], place[capture], channel, np.tile(grid, (len(place), 1))
     )
     return SessionPlan(display, _see_through(bench, place[::2], travel[::2]))
 
@@ -77,7 +77,7 @@ def _see_through(bench: Bench, place: FloatArray, travel: FloatArray) -> SeeThro
     pose, capture = (np.repeat(each.ravel(), len(dots)) for each in np.indices((poses, len(place))))
     time_s = SECONDS * (18 + pose * len(place) + capture)
     dot = np.tile(dots, (poses * len(place), 1)) * bench.target.pitch[pose][:, None]
-    return SeeThroughPlan(capture, time_s, travel[capture], place[capture], pose, dot)
+    return SeeThroughPlan(capture, np.asarray(time_s), travel[capture], place[capture], pose, dot)
 
 
 def run_time_plan(
@@ -92,7 +92,7 @@ def run_time_plan(
     dot = np.einsum("nij,nj->ni", head[:, :3, :3], in_device) + head[:, :3, 3]
     capture = np.arange(rows) * captures // rows
     velocity, rate = rng.normal(0, 0.2, (rows, 3)), rng.normal(0, 0.6, (rows, 3))
-    return RunTimePlan(capture, 0.1 * np.arange(rows), head, velocity, rate, viewpoint, gaze, dot)
+    return RunTimePlan(capture, np.asarray(0.1 * np.arange(rows)), head, velocity, rate, viewpoint, gaze, dot)
 
 
 def hypothesis(name: str, variant: int = 0) -> Hypothesis:

@@ -1,5 +1,6 @@
 """What every cause promises, whatever it is: nothing at null, its own part of the bench only, smooth and additive."""
 
+import pathlib
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from typing import Any
@@ -206,7 +207,7 @@ def test_what_lies_behind_the_mirror_leaves_the_picture_alone(
 
 @every_device_way
 def test_a_perturbed_device_is_saved_and_loaded_with_the_same_readings(
-    tmp_path: Path, bench: Bench, read: Callable[[Bench, Cause], FloatArray], cause: Cause, variant: str
+    tmp_path: pathlib.Path, bench: Bench, read: Callable[[Bench, Cause], FloatArray], cause: Cause, variant: str
 ) -> None:
     changed = cause.perturb(bench, sized(cause, 0.7), variant)
     loaded = replace(changed, device=load_device(str(save_device(changed.device, tmp_path / "device.toml"))))
@@ -215,7 +216,7 @@ def test_a_perturbed_device_is_saved_and_loaded_with_the_same_readings(
 
 @pytest.mark.parametrize("device", ["birdbath28", "freeform40", "prism5701202", "plane_plate"])
 def test_thickened_twice_tilted_and_behind_a_plate_any_device_survives_its_file(
-    tmp_path: Path, bench: Bench, plans: dict[bool, SessionPlan], device: str
+    tmp_path: pathlib.Path, bench: Bench, plans: dict[bool, SessionPlan], device: str
 ) -> None:
     """An offset of an offset, a wedge, and surfaces of every shape."""
     loaded = load_device(device)

@@ -70,7 +70,7 @@ def test_a_panel_position_that_is_seen_a_sigma_beside_is_one_unit(bench: Bench, 
 def test_at_run_time_only_the_gap_between_the_dots_counts(bench: Bench, every_part: Observations) -> None:
     read = every_part.session.readings
     predicted = simulate(bench, every_part.session.plan)
-    both = with_readings(every_part, run_time_pixel=read.run_time_pixel + 10.0)
+    both = with_readings(every_part, run_time_pixel=present(read.run_time_pixel) + 10.0)
     np.testing.assert_allclose(both.residual(predicted), 0.0, atol=1e-9)
     one = with_readings(
         every_part, run_time_pixel=present(read.run_time_pixel) + SIGMA_PX * np.array([1.0, 0.0, 0.0, 0.0])
@@ -104,7 +104,7 @@ def test_a_spread_takes_alike_from_every_capture_row_and_column(clean: Observati
 
 
 def test_readings_that_the_bench_cannot_predict_are_left_out(bench: Bench, plan: SessionPlan) -> None:
-    few = select_rows(plan.see_through, np.arange(40))
+    few = select_rows(present(plan.see_through), np.arange(40))
     assert few is not None
     place = few.stage.copy()
     place[::4, 2] -= 2.0  # beyond the target

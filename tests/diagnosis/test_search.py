@@ -47,7 +47,7 @@ def names_of(selection: Selection) -> tuple[str, ...]:
     return selection.fit.explanation.names
 
 
-def with_dent(observations: Observations, size_px: float):
+def with_dent(observations: Observations, size_px: float) -> Observations:
     """A dent of the display over an eighth of its field, which no cause explains."""
     read, camera = observations.session.readings, present(observations.session.plan.display).camera_pixel
     radius = np.linalg.norm(camera - [700.0, 600.0], axis=1)
@@ -223,9 +223,9 @@ def test_without_a_moment_between_captures_nothing_can_have_slipped(
 ) -> None:
     """A lab may write the same time for all captures; with two times there is no moment away from either end."""
 
-    def at_few_times(part: StagePlan | None):
+    def at_few_times(part: StagePlan | None) -> StagePlan:
         assert part is not None
-        return replace(part, time_s=part.capture % times * 40.0)
+        return replace(part, time_s=np.asarray(part.capture % times * 40.0))
 
     timeless = replace(plan, display=at_few_times(plan.display), see_through=at_few_times(plan.see_through))
     assert len(times_between_captures(timeless)) == 0

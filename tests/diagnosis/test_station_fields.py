@@ -40,11 +40,11 @@ def beside(values: NDArray[Any]) -> NDArray[Any]:
     return np.stack([values, np.zeros_like(values)], axis=-1)
 
 
-def nothing(bench, plan) -> Readings:
+def nothing(bench: Bench, plan: SessionPlan) -> Readings:
     return simulate(bench, plan)
 
 
-def bent_panel(bench, plan) -> Readings:
+def bent_panel(bench: Bench, plan: SessionPlan) -> Readings:
     """Waves over the panel, as of a warped one."""
     read = simulate(bench, plan)
     off = 0.6 * wave(present(read.panel_pixel)[:, 0], 1000) * wave(present(read.panel_pixel)[:, 1], 900)
@@ -92,7 +92,7 @@ def at_stage(bench: Bench, plan: SessionPlan, error: Callable[..., Any]) -> Read
     return simulate(bench, SessionPlan(*tables))
 
 
-def screw(bench, plan: SessionPlan) -> Readings:
+def screw(bench: Bench, plan: SessionPlan) -> Readings:
     """A stage whose screw of 1.6 mm lead errs by 60 um once a turn, by 15 um twice a turn, and in its mean lead."""
 
     def error(table):
@@ -121,7 +121,7 @@ def warped_print(bench, plan) -> Readings:
     return simulate(bench, replace(plan, see_through=replace(plan.see_through, dot=dots + off)))
 
 
-def dent(bench, plan: SessionPlan) -> Readings:
+def dent(bench: Bench, plan: SessionPlan) -> Readings:
     """A bump of the combiner 6 mm wide, of which the causes considered know nothing."""
     return simulate(explanation(combiner_dent=[6.0, 3.0, -2.0, 6.0]).bench(bench), plan)
 
@@ -181,7 +181,7 @@ def test_other_readings_get_the_periods_that_were_found(bench: Bench, plan: Sess
 def test_the_period_of_a_screw_is_found_between_those_that_are_tried_first(bench: Bench, plan: SessionPlan) -> None:
     """At places off the raster, where the nearest of these is 1.625 mm."""
 
-    def off_raster(table: StagePlan | None):
+    def off_raster(table: StagePlan | None) -> StagePlan:
         assert table is not None
         rng, number = np.random.default_rng(8), np.unique(table.time_s, return_inverse=True)[1]
         x = 4e-3 * rng.uniform(-1.0, 1.0, number.max() + 1)

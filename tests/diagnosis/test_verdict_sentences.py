@@ -146,7 +146,7 @@ def test_a_cause_that_fails_beside_its_value_leaves_the_report(explained: Diagno
     hypothesis, found = explanation.hypotheses[place], explanation.values[place]
 
     def refusing(perturb: Callable[..., Any]) -> Callable[[Any, Any], Any]:
-        def limited(bench, values):
+        def limited(bench: Bench, values: Any) -> Bench:
             if np.any(values > found) or (fails == "beside" and np.any(values < found)):
                 raise BadInputError("cause 'target_scale' fails in its variant 'as a whole' (ValueError: limit).")
             return perturb(bench, values)
@@ -326,7 +326,7 @@ def test_improvement_in_use_is_tabulated_where_there_is_some() -> None:
 def test_sentences_judge_by_the_settings_of_the_diagnosis(explained: Diagnosis, located: Diagnosis) -> None:
     """With higher odds asked for, what the residual depends on, and what is undecided, is another matter."""
 
-    def strict(diagnosis: Diagnosis, **changes: Any):
+    def strict(diagnosis: Diagnosis, **changes: Any) -> Diagnosis:
         return replace(diagnosis, settings=replace(diagnosis.settings, **changes))
 
     cause = replace(

@@ -131,7 +131,7 @@ def test_normals_under_a_non_uniform_scale_stay_perpendicular(gl_context: GlCont
     point = positions(image)
     normal = directions.normalised(np.cross(point[:-1, 1:] - point[:-1, :-1], point[1:, :-1] - point[:-1, :-1]))
     light = 0.1 + scene.lights[1].colour * np.abs(normal @ scene.lights[1].vector)[..., None]
-    np.testing.assert_allclose(image.colour[:-1, :-1], srgb(light), atol=1)
+    np.testing.assert_allclose(image.colour[:-1, :-1], srgb(np.asarray(light)), atol=1)
 
 
 def test_pictures_of_two_names_do_not_overwrite_each_other(gl_context: GlContext) -> None:

@@ -1,5 +1,6 @@
 import os
 import threading
+from typing import Any
 
 import pytest
 
@@ -9,7 +10,8 @@ from wlr_render.work.workers import usable_cores
 
 @pytest.mark.parametrize(("total", "block"), [(0, 4), (3, 4), (4, 4), (10, 4), (7, 1)])
 def test_blocks_cover_everything_once(total: int, block: int) -> None:
-    seen, lock = [], threading.Lock()
+    seen: list[Any] = []
+    lock = threading.Lock()
 
     def work(part: slice) -> None:
         with lock:
@@ -20,7 +22,8 @@ def test_blocks_cover_everything_once(total: int, block: int) -> None:
 
 
 def test_parallel_work_may_call_parallel_work() -> None:
-    seen, lock = [], threading.Lock()
+    seen: list[Any] = []
+    lock = threading.Lock()
 
     def inner(part: slice) -> None:
         with lock:

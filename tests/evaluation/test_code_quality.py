@@ -25,8 +25,8 @@ def centres() -> NDArray[Any]:
     return np.stack([column, row], axis=-1)
 
 
-def mapped(homography: FloatArray, pixel: FloatArray):
-    return cv2.perspectiveTransform(pixel.reshape(-1, 1, 2), homography).reshape(pixel.shape)
+def mapped(homography: FloatArray, pixel: FloatArray) -> FloatArray:
+    return np.asarray(cv2.perspectiveTransform(pixel.reshape(-1, 1, 2), homography).reshape(pixel.shape))
 
 
 def decoded_of(position: FloatArray, accepted: BoolArray | None = None) -> Decoded:
@@ -36,7 +36,7 @@ def decoded_of(position: FloatArray, accepted: BoolArray | None = None) -> Decod
     return Decoded(pixel, sure, sure, rejection, sure, np.ones(rejection.shape, np.uint8))
 
 
-def two_surfaces(noise_px: float = 0.0):
+def two_surfaces(noise_px: float = 0.0) -> Any:
     pixel = centres()
     position = np.where(pixel[..., :1] < 140, mapped(LEFT, pixel), mapped(RIGHT, pixel))
     return position + noise_px * np.random.default_rng(5).standard_normal(position.shape)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from wlr_render.evaluation.device_figures import DeviceFigures, device_figures, figures_table
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.mappings import Eye, QueryResult, Status
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 
@@ -99,11 +100,15 @@ def test_colour_is_between_blue_and_red(flat_image_headset: Eye) -> None:
 class Blind:
     """A see-through that sees nothing."""
 
-    def real_ray_of_view_dir(self, view_dir, viewpoint, warm_start=None) -> QueryResult:
+    def real_ray_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: object = None
+    ) -> QueryResult:
         shape = np.broadcast_shapes(view_dir.shape[:-1], viewpoint.shape[:-1])
         return QueryResult(np.full((*shape, 6), np.nan), np.full(shape, Status.MISS, dtype=np.uint8))
 
-    def view_dir_of_real_point(self, point, viewpoint, warm_start=None) -> QueryResult:
+    def view_dir_of_real_point(
+        self, point: FloatArray, viewpoint: FloatArray, warm_start: object = None
+    ) -> QueryResult:
         ray = self.real_ray_of_view_dir(point, viewpoint)
         return QueryResult(ray.value[..., :3], ray.status)
 

@@ -8,7 +8,7 @@ from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.mapping_error import DisplayObservations, SeeThroughObservations
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.mappings import Eye
+from wlr_render.mappings import Eye, Panel, QueryResult
 from wlr_render.numerics.arrays import FloatArray
 
 SHAPES = [(), (1,), (3, 1, 2)]
@@ -22,14 +22,14 @@ class Turned:
     rotation: np.ndarray
 
     @property
-    def panel(self):
+    def panel(self) -> Panel:
         return self.display.panel
 
-    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
         seen = self.display.view_dir_of_pixel(pixel, viewpoint)
         return replace(seen, value=transforms.rotate(self.rotation, seen.value))
 
-    def pixel_of_view_dir(self, view_dir: FloatArray, viewpoint, warm_start=None):
+    def pixel_of_view_dir(self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
         return self.display.pixel_of_view_dir(transforms.rotate(self.rotation.T, view_dir), viewpoint)
 
 
@@ -40,7 +40,7 @@ class Static:
     display: object
     centre: np.ndarray
 
-    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
         shape = np.broadcast_shapes(pixel.shape[:-1], viewpoint.shape[:-1])
         return self.display.view_dir_of_pixel(np.broadcast_to(pixel, (*shape, 2)), self.centre)
 

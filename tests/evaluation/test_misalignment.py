@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import directions, rays, transforms
-from wlr_render.mappings import Eye
+from wlr_render.mappings import Eye, QueryResult
 from wlr_render.numerics.arrays import FloatArray
 
 VIEWPOINT = np.array([0.004, 0.001, 0.012])
@@ -27,7 +27,7 @@ class Turned:
     inner: object
     rotation: np.ndarray
 
-    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: NDArray[Any], warm_start=None):
+    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: NDArray[Any], warm_start: object = None) -> QueryResult:
         answer = self.inner.view_dir_of_pixel(pixel, viewpoint)
         return replace(answer, value=answer.value @ self.rotation.T)
 

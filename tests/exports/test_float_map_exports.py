@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from wlr_render.scene.image_files import read_map
 
 
 @pytest.mark.parametrize("name", ["pfm", "tiff"])
-def test_opencv_draws_what_our_own_warp_draws(name: str, view: ExportedView, tmp_path: Path) -> None:
+def test_opencv_draws_what_our_own_warp_draws(name: Literal["pfm", "tiff"], view: ExportedView, tmp_path: Path) -> None:
     path, facts = FloatMap(name).write([view], tmp_path)
     picture = smooth_picture(view.source.camera.size_px)
     positions = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -25,7 +26,9 @@ def test_opencv_draws_what_our_own_warp_draws(name: str, view: ExportedView, tmp
 
 
 @pytest.mark.parametrize("name", ["pfm", "tiff"])
-def test_openimageio_reads_the_channels_in_order(name: str, view: ExportedView, tmp_path: Path) -> None:
+def test_openimageio_reads_the_channels_in_order(
+    name: Literal["pfm", "tiff"], view: ExportedView, tmp_path: Path
+) -> None:
     oiio = pytest.importorskip("OpenImageIO", reason="OpenImageIO reads the map: pip install OpenImageIO")
     path, _ = FloatMap(name).write([view], tmp_path)
     settings = oiio.ImageSpec()

@@ -27,7 +27,8 @@ def northstar_views() -> list[ExportedView]:
 @pytest.fixture(scope="module")
 def config(northstar_views: Sequence[ExportedView], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     (path,) = Monado().write(northstar_views, tmp_path_factory.mktemp("monado"))
-    return json.loads(path.read_text())
+    content: dict[str, Any] = json.loads(path.read_text())
+    return content
 
 
 def as_the_driver_reads(config: dict[str, Any], eye: str) -> FloatArray:

@@ -8,7 +8,7 @@ import pytest
 
 from wlr_render.gl.context import GlContext
 from wlr_render.gl.mips import level_sizes
-from wlr_render.numerics.arrays import Float32Array
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.srgb import decode_srgb
 from wlr_render.warp.gl_overlay import OverlayImport, Quad
 from wlr_render.warp.stored_picture import PREMULTIPLIED, StoredColour
@@ -19,12 +19,12 @@ QUAD = Quad(np.eye(4), np.ones(2), False)
 SIZES = [(300, 200), (301, 199), (64, 16), (37, 1), (1, 6), (7, 96), (1, 1)]
 
 
-def shares(size: int, count: int):
+def shares(size: int, count: int) -> FloatArray:
     """(count, size): the share of each of `size` texels in each of `count` that cover them."""
     edge = np.arange(count + 1) * size / count
     first, last = np.arange(size), np.arange(1, size + 1)
     covered = np.minimum(last, edge[1:, None]) - np.maximum(first, edge[:-1, None])
-    return np.maximum(covered, 0) * count / size
+    return np.asarray(np.maximum(covered, 0) * count / size)
 
 
 def levels_of(

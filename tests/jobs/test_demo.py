@@ -33,7 +33,7 @@ def fit_straight_rays(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(job, "calibrate", partial(job.calibrate, display_degree=2, see_through_degree=2))
 
 
-def made(folder) -> Report:
+def made(folder: Path) -> Report:
     """Judge northstar with an eighth of its pixels across and down; the report and its files are in a new folder."""
     folder.mkdir()
     device = changed_device(folder, "northstar", ("[1440, 1600]", "[180, 200]"))

@@ -108,8 +108,8 @@ def test_a_grid_of_pupils_has_a_map_for_each_pupil_and_eye(straight_device: str,
     box = open_eye(straight_device, "right").eye_box
     for corner, unit in (("row0-column0", [-1, 1, 0]), ("row1-column1", [1, -1, 0])):
         facts = json.loads((tmp_path / f"right-{corner}-map.json").read_text(encoding="utf-8"))
-        assert facts["viewpoint_in_device_m"] == pytest.approx(box.at(unit))
-        assert facts["source_camera"]["position_in_device_m"] == pytest.approx(box.at(unit))
+        assert facts["viewpoint_in_device_m"] == pytest.approx(box.at(np.array(unit)))
+        assert facts["source_camera"]["position_in_device_m"] == pytest.approx(box.at(np.array(unit)))
     first, last = (read_map(tmp_path / f"{stem}.pfm") for stem in maps[-4::3])
     assert np.abs(first - last).max() > 1  # px
 

@@ -115,7 +115,7 @@ def test_eye_centre_side_and_relief_are_taken(tmp_path: Path) -> None:
 
 
 def test_semi_diameters_are_apertures_if_asked_for(tmp_path: Path) -> None:
-    def high(**options: Any):
+    def high(**options: Any) -> Any:
         return imported(tmp_path, LOUPE, **options)[1].eyes["right"].display.steps[1].surface.aperture.high[0]
 
     assert np.isinf(high())

@@ -56,7 +56,7 @@ def options_of(verb: Verb) -> list[Any]:
     return [each for each in found if issubclass(each, Options)]
 
 
-def holds_numbers(hint) -> bool:
+def holds_numbers(hint: Any) -> bool:
     return hint in (int, float) or (get_origin(hint) is not Literal and any(map(holds_numbers, get_args(hint))))
 
 

@@ -5,10 +5,10 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from _pytest.capture import CaptureResult
 from oracle import captures as oracle_captures
 from oracle.captures import Plan
 from oracle.effects import Effect
@@ -70,7 +70,7 @@ def ordinary(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, CaptureResult]:
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, Any]:
     status = main(["predict", *map(str, arguments)])
     return status, capsys.readouterr()
 

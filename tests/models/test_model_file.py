@@ -106,7 +106,7 @@ def first(record: dict[str, Any]) -> dict[str, Any]:
     return record["eyes"][0]
 
 
-def forward(record):
+def forward(record: dict[str, Any]):
     return first(record)["display"]["forward"]
 
 

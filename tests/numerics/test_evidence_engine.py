@@ -188,8 +188,8 @@ def drawn(
     noise = noise * (np.sqrt((1.0 + place**2) ** 2 / 1.87)[:, None] if rim else 1.0)
     value = design @ truth.T + noise + motion * rng.normal(size=(groups, 1))[group]
     sums = Sums(columns, 2, 0, groups, 1)
-    sums.add(value, np.ones(count), design)
-    sums.add_side(value, np.ones(count), design, None, np.ones((count, 2, 1)), group)
+    sums.add(value, np.ones(count), np.asarray(design))
+    sums.add_side(value, np.ones(count), np.asarray(design), None, np.ones((count, 2, 1)), group)
     features = np.zeros((columns, 4))
     features[:, 0], features[:, 1] = 1.0, -order
     none = np.zeros((0, 4))

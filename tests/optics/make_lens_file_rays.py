@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.numerics.arrays import FloatArray
+
 FOLDER = Path(__file__).resolve().parent / "data" / "lens_files"
 STORED = FOLDER / "rays.npz"
 WAVELENGTH_UM = 0.5875618  # where a glass by index and Abbe number is the same in all programs
@@ -34,7 +36,7 @@ RAYOPTICS = {
 }
 
 
-def starting_rays(width_mm, tangent, seed: int = 5) -> tuple[NDArray[Any], Any]:
+def starting_rays(width_mm, tangent: FloatArray, seed: int = 5) -> tuple[NDArray[Any], Any]:
     """Origins (n, 3) in mm before the first surface, and unit directions (n, 3)."""
     rng = np.random.default_rng(seed)
     origin = np.stack([*rng.uniform(-width_mm, width_mm, (2, RAYS)), np.full(RAYS, -10.0)], axis=-1)
@@ -77,7 +79,7 @@ def make_shapes() -> None:
     (FOLDER / "shapes.json").write_text(json.dumps(content, indent=1) + "\n")
 
 
-def trace_with_optiland(path: Path, origin: NDArray[Any], direction) -> NDArray[Any]:
+def trace_with_optiland(path: Path, origin: NDArray[Any], direction: FloatArray) -> NDArray[Any]:
     """Points on every surface after the object in mm, then the last direction: (n, surfaces + 1, 3)."""
     from optiland.fileio import load_optiland_file, load_zemax_file
     from optiland.rays import RealRays
@@ -113,7 +115,7 @@ def make_decentred() -> None:
     model.save_model(FOLDER / "decentred.roa")
 
 
-def trace_with_rayoptics(path, origin, direction) -> NDArray[Any]:
+def trace_with_rayoptics(path, origin, direction: FloatArray) -> NDArray[Any]:
     """As `trace_with_optiland`."""
     from rayoptics.codev import cmdproc
     from rayoptics.gui.roafile import open_roa

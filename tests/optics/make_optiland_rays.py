@@ -9,6 +9,7 @@ bases under its own anamorphic terms and once with toroids. Its frame is taken a
 rays run towards +z as in its own designs.
 """
 
+import pathlib
 from dataclasses import replace
 from itertools import product
 from math import comb
@@ -80,7 +81,7 @@ def cases() -> dict[str, tuple[Path, np.ndarray, np.ndarray]]:
     return result
 
 
-def trace_with_optiland(path: Path, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def trace_with_optiland(path: pathlib.Path, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Points on every surface, then the last direction: (n, steps + 1, 3), device frame, metres."""
     from optiland.materials import IdealMaterial
     from optiland.optic import Optic

@@ -35,7 +35,7 @@ def sellmeier(c: Sequence[float], L: float) -> float:
     return float(np.sqrt(1 + sum(k * L**2 / (L**2 - pole) for k, pole in zip(c[::2], c[1::2], strict=True))))
 
 
-def herzberger(c, L):
+def herzberger(c: Sequence[float], L: float) -> float:
     m = 1 / (L**2 - 0.028)
     return c[0] + c[1] * m + c[2] * m**2 + c[3] * L**2 + c[4] * L**4 + c[5] * L**6
 

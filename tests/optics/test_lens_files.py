@@ -4,6 +4,7 @@ Stored rays and their origin: data/lens_files/README.md, make_lens_file_rays.py.
 """
 
 import json
+import pathlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -46,7 +47,7 @@ def path_of(lens: LensFile) -> tuple[Path, list[int]]:
     return Path(tuple(steps)), places
 
 
-def assert_same_rays(path: Path, rays: FloatArray) -> None:
+def assert_same_rays(path: pathlib.Path, rays: FloatArray) -> None:
     """Rays in mm: origin, direction, points on every surface after the object, last direction; 1e-9 mm and 1e-9 rad."""
     _, lens = read_lens_file(path, CATALOGUE)
     optics, places = path_of(lens)
@@ -120,14 +121,14 @@ SURF 4
 """
 
 
-def lens_of(tmp_path: Path, text: str, encoding: str = "utf-8") -> LensFile:
+def lens_of(tmp_path: pathlib.Path, text: str, encoding: str = "utf-8") -> LensFile:
     path = tmp_path / "lens.zmx"
     path.write_bytes(text.encode(encoding))
     return read_lens_file(path, CATALOGUE)[1]
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
-def test_zemax_text_of_every_encoding(tmp_path: Path, encoding: str) -> None:
+def test_zemax_text_of_every_encoding(tmp_path: pathlib.Path, encoding: str) -> None:
     lens = lens_of(tmp_path, ZMX.replace("front face", "Fläche"), encoding)
     assert [surface.number for surface in lens.surfaces] == [0, 1, 2, 3, 4]
     front = lens.surfaces[2]
@@ -140,7 +141,7 @@ def test_zemax_text_of_every_encoding(tmp_path: Path, encoding: str) -> None:
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("IN", 0.0254), ("CM", 0.01), ("METER", 1.0)])
-def test_zemax_units_of_length(tmp_path: Path, unit: str, metres: float) -> None:
+def test_zemax_units_of_length(tmp_path: pathlib.Path, unit: str, metres: float) -> None:
     lens = lens_of(tmp_path, ZMX.replace("UNIT MM", f"UNIT {unit}"))
     assert lens.surfaces[2].shape.curvature == pytest.approx(0.025 / metres)
     assert lens.surfaces[4].file_from_surface[2, 3] == pytest.approx(54 * metres)
@@ -180,7 +181,7 @@ X, Y = np.array([0.004]), np.array([-0.003])
     ],
 )  # fmt: skip
 def test_shapes_of_zemax_have_the_sag_of_its_manual(
-    tmp_path: Path, lines: str, kind: type[SagSurface], sag: float
+    tmp_path: pathlib.Path, lines: str, kind: type[SagSurface], sag: float
 ) -> None:
     text = ZMX.replace(SPHERE, "".join(f"  {line.strip()}\n" for line in lines.splitlines()))
     lens = lens_of(tmp_path, text)
@@ -190,7 +191,7 @@ def test_shapes_of_zemax_have_the_sag_of_its_manual(
     assert 1e3 * shape.sag_and_slopes(X, Y)[0] == pytest.approx(sag, rel=1e-12)
 
 
-def test_coordinate_breaks_turn_and_shift_what_follows_and_back(tmp_path: Path) -> None:
+def test_coordinate_breaks_turn_and_shift_what_follows_and_back(tmp_path: pathlib.Path) -> None:
     """The matrix is that of Zemax's own article on tilts, R = Rx Ry Rz; the second break undoes the first."""
     values = ["PARM 1 1.5", "PARM 2 -2", "PARM 3 10", "PARM 4 -20", "PARM 5 30"]
     there = "SURF 2\n  TYPE COORDBRK\n  DISZ 0\n" + "".join(f"  {value}\n" for value in values)
@@ -229,7 +230,7 @@ def test_coordinate_breaks_turn_and_shift_what_follows_and_back(tmp_path: Path) 
         ("MODE SEQ\n", "MODE SEQ\nMNUM 3 1\n", "MNUM", True),
     ],
 )
-def test_ignored_keys_are_named(tmp_path: Path, old: str, new: str, key: str, bends_rays: bool) -> None:
+def test_ignored_keys_are_named(tmp_path: pathlib.Path, old: str, new: str, key: str, bends_rays: bool) -> None:
     assert old in ZMX
     lens = lens_of(tmp_path, ZMX.replace(old, new))
     assert (key, bends_rays) in [(note.key, note.bends_rays) for note in lens.ignored]
@@ -255,7 +256,7 @@ def test_ignored_keys_are_named(tmp_path: Path, old: str, new: str, key: str, be
     ],
 )  # fmt: skip
 def test_faults_of_lens_files_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, sentence: str
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, sentence: str
 ) -> None:
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
     assert old in ZMX
@@ -264,7 +265,7 @@ def test_faults_of_lens_files_are_named(
 
 
 def test_a_glass_with_its_own_numbers_stands_in_for_a_catalogue(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
     lens = lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", "MYPLASTIC 0 0 1.5312 56.0"))
@@ -275,7 +276,7 @@ def test_a_glass_with_its_own_numbers_stands_in_for_a_catalogue(
 
 @pytest.mark.parametrize("numbers", ["0 0 0 0 0 0 0 0 0 0", "0 0 1.5 40", "0 0", ""])
 def test_zeros_beside_the_name_of_a_glass_state_no_index(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, numbers: str
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, numbers: str
 ) -> None:
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
     found = lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", f"N-BK7 {numbers}"))
@@ -284,27 +285,27 @@ def test_zeros_beside_the_name_of_a_glass_state_no_index(
         lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", f"NOSUCH {numbers}"))
 
 
-def test_a_glass_by_its_six_digit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_glass_by_its_six_digit_code(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
     lens = lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", "517642 0 0 0 0"))
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.517)
     assert [note.part for note in lens.ignored if note.key == "GLAS"] == ["glass"]
 
 
-def test_the_partial_dispersion_of_a_model_glass_is_read(tmp_path: Path) -> None:
+def test_the_partial_dispersion_of_a_model_glass_is_read(tmp_path: pathlib.Path) -> None:
     files = ZMX, ZMX.replace("64.17", "64.17 0.01")
     normal, other = (lens_of(tmp_path, text).surfaces[2].medium.index for text in files)
     differences = [index(0.4358343) - index(0.4861327) for index in (normal, other)]
     assert differences[1] - differences[0] == pytest.approx(0.01 * 0.5168 / 64.17)
 
 
-def test_lines_of_a_surface_need_no_indent(tmp_path: Path) -> None:
+def test_lines_of_a_surface_need_no_indent(tmp_path: pathlib.Path) -> None:
     lens = lens_of(tmp_path, "\n".join(line.strip() for line in ZMX.splitlines()))
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.5168)
     assert lens.surfaces[4].file_from_surface[2, 3] == pytest.approx(0.054)
 
 
-def test_a_comment_with_a_separator_of_latin_1_hides_no_lines(tmp_path: Path) -> None:
+def test_a_comment_with_a_separator_of_latin_1_hides_no_lines(tmp_path: pathlib.Path) -> None:
     lens = lens_of(tmp_path, ZMX.replace("  DIAM 15", "  COMM a\x85GLAS MIRROR\x0cCURV 9\n  DIAM 15"), "latin-1")
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.5168)
     assert lens.surfaces[2].shape.curvature == pytest.approx(25.0)
@@ -312,7 +313,7 @@ def test_a_comment_with_a_separator_of_latin_1_hides_no_lines(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("name", ["LAK", "BK", "LAN"])
-def test_a_catalogue_glass_is_no_model_glass_because_of_its_letters(tmp_path: Path, name: str) -> None:
+def test_a_catalogue_glass_is_no_model_glass_because_of_its_letters(tmp_path: pathlib.Path, name: str) -> None:
     """Zemax writes ___BLANK for a glass by index and Abbe number; these names have letters of it only."""
     catalogue = tmp_path / "a.agf"
     catalogue.write_text(f"NM {name} 1 0 1.5 40\nCD 2.56 0 0 0 0 0\n")
@@ -323,7 +324,7 @@ def test_a_catalogue_glass_is_no_model_glass_because_of_its_letters(tmp_path: Pa
 
 
 def test_a_glass_in_no_catalogue_is_refused_with_the_command_that_installs_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = "NOSUCH"
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
@@ -341,12 +342,12 @@ def test_a_glass_in_no_catalogue_is_refused_with_the_command_that_installs_one(
         assert str(refused.value).endswith(f"{install_command('glasses')}")
 
 
-def test_a_catalogue_file_is_searched_by_name(tmp_path: Path) -> None:
+def test_a_catalogue_file_is_searched_by_name(tmp_path: pathlib.Path) -> None:
     lens = lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", "n-bk7 0 0 1.5 40"))
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.51680, abs=5e-6)
 
 
-def test_the_first_glass_of_a_name_counts_and_each_file_is_read_once(tmp_path: Path) -> None:
+def test_the_first_glass_of_a_name_counts_and_each_file_is_read_once(tmp_path: pathlib.Path) -> None:
     first, second = tmp_path / "first.agf", tmp_path / "second.agf"
     first.write_text("NM A 1 0 1.5 40\nCD 2.25 0 0 0 0 0\nNM A 1 0 1.5 40\nCD 4 0 0 0 0 0\n")
     second.write_text("NM a 1 0 1.5 40\nCD 9 0 0 0 0 0\nNM B 1 0 1.5 40\nCD 2.56 0 0 0 0 0 0 0 0 0\n")
@@ -370,7 +371,7 @@ def test_the_first_glass_of_a_name_counts_and_each_file_is_read_once(tmp_path: P
         ("a,b,c\n", "has no line 'NM' of a glass, so this is not a glass catalogue"),
     ],
 )
-def test_faults_of_catalogue_files_are_named(tmp_path: Path, content: str, sentence: str) -> None:
+def test_faults_of_catalogue_files_are_named(tmp_path: pathlib.Path, content: str, sentence: str) -> None:
     bad = tmp_path / "bad.agf"
     bad.write_text(content)
     with pytest.raises(BadInputError, match=rf"bad\.agf: .*{sentence}"):
@@ -379,7 +380,7 @@ def test_faults_of_catalogue_files_are_named(tmp_path: Path, content: str, sente
 
 @pytest.mark.parametrize("kind", ["tilt", ["bend"], {}])
 def test_a_decentre_of_another_kind_is_refused(
-    tmp_path: Path, kind: Mapping[object, object] | Sequence[str] | str
+    tmp_path: pathlib.Path, kind: Mapping[object, object] | Sequence[str] | str
 ) -> None:
     file = json.loads((FOLDER / "decentred.roa").read_text())
     surfaces = file["optical_model"]["attributes"]["seq_model"]["attributes"]["ifcs"]
@@ -392,12 +393,12 @@ def test_a_decentre_of_another_kind_is_refused(
         read_lens_file(path, CATALOGUE)
 
 
-def test_planes_are_planes(tmp_path: Path) -> None:
+def test_planes_are_planes(tmp_path: pathlib.Path) -> None:
     assert lens_of(tmp_path, ZMX).surfaces[4].shape == Conic(0.0)
 
 
 @pytest.mark.parametrize("name", ["HoO-V2C18Ex66NEW.zmx", "shapes.json", "decentred.roa"])
-def test_damaged_lens_files_are_read_or_refused_in_a_sentence(tmp_path: Path, name: str) -> None:
+def test_damaged_lens_files_are_read_or_refused_in_a_sentence(tmp_path: pathlib.Path, name: str) -> None:
     rng = np.random.default_rng(3)
     whole = (FOLDER / name).read_bytes()
     path = tmp_path / name
@@ -415,7 +416,7 @@ def test_damaged_lens_files_are_read_or_refused_in_a_sentence(tmp_path: Path, na
     assert all(name in sentence for sentence in sentences)
 
 
-def test_a_mirror_of_an_older_optiland_is_a_mirror(tmp_path: Path) -> None:
+def test_a_mirror_of_an_older_optiland_is_a_mirror(tmp_path: pathlib.Path) -> None:
     file = json.loads((FOLDER / "shapes.json").read_text())
     surface = file["surface_group"]["surfaces"][3]
     del surface["interaction_model"]
@@ -427,7 +428,7 @@ def test_a_mirror_of_an_older_optiland_is_a_mirror(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("found", ["N-SF99", "sf99"])
-def test_a_glass_of_a_similar_name_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: str) -> None:
+def test_a_glass_of_a_similar_name_is_told(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, found: str) -> None:
     monkeypatch.setattr(
         "wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland",
         lambda name, makers: Medium.abbe(found, 1.67271, 32.25),

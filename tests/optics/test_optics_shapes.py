@@ -28,7 +28,7 @@ def conic_sag(x: FloatArray, y: float, c: float, k: float) -> FloatArray:
     return np.asarray(c * r2 / (1 + np.sqrt(1 - (1 + k) * c * c * r2)))
 
 
-def toroid_level(p, rx: float = -0.08, ry: float = 0.06):
+def toroid_level(p: FloatArray, rx: float = -0.08, ry: float = 0.06):
     profile = rx + np.hypot(p[0], rx - p[2])  # sag of the circle at this distance from the axis
     return np.hypot(profile - ry, p[1]) - abs(ry)
 
@@ -38,14 +38,14 @@ def polynomial_level(p: FloatArray) -> FloatArray:
     return np.asarray(p[2] - sum(terms) - conic_sag(p[0], p[1], -5.0, 0.4))
 
 
-def anamorphic_level(p):
+def anamorphic_level(p: FloatArray):
     x, y, z = p
     root = np.sqrt(1 - 0.9 * (x / 0.06) ** 2 - 0.8 * (y / 0.09) ** 2)
     base = (-(x**2) / 0.06 - y**2 / 0.09) / (1 + root)
     return z - base - 500.0 * (1.1 * x**2 + 0.9 * y**2) ** 2 + 9e4 * (0.5 * x**2 + 1.5 * y**2) ** 3
 
 
-def even_asphere_level(p):
+def even_asphere_level(p: FloatArray):
     r2 = p[0] ** 2 + p[1] ** 2
     return p[2] - conic_sag(p[0], p[1], -7.0, -1.4) - 0.5 * r2 + 300.0 * r2**2 - 2e5 * r2**3
 
@@ -55,7 +55,7 @@ def odd_asphere_level(p: FloatArray) -> FloatArray:
     return np.asarray(p[2] - 1.5 * r**2 + 20.0 * r**3 - 900.0 * r**5)
 
 
-def sum_of_profiles_level(p):
+def sum_of_profiles_level(p: FloatArray):
     return p[2] - conic_sag(p[0], 0.0, -9.0, 0.5) - conic_sag(0.0, p[1], 6.0, -2.0)
 
 

@@ -1,5 +1,6 @@
 """A saved device is read back as the same one: the same light, the same names, wherever its parts were moved."""
 
+import pathlib
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +35,7 @@ SAME = 1e-14
 GLASS = Medium.constant("glass", 1.5)
 
 
-def saved(device: Device, tmp_path: Path) -> Device:
+def saved(device: Device, tmp_path: pathlib.Path) -> Device:
     return load_device(save_device(device, tmp_path / "saved.toml"))
 
 
@@ -102,13 +103,13 @@ def moved_panel(eye: EyeOptics, motion: FloatArray) -> EyeOptics:
 
 
 @pytest.mark.parametrize("name", shipped_names("devices", ".toml"))
-def test_every_shipped_device_survives(tmp_path: Path, name: str) -> None:
+def test_every_shipped_device_survives(tmp_path: pathlib.Path, name: str) -> None:
     device = load_device(name)
     assert_same(device, saved(device, tmp_path))
 
 
 @pytest.mark.parametrize("name", shipped_names("devices", ".toml"))
-def test_every_shipped_device_survives_with_all_its_parts_moved(tmp_path: Path, name: str) -> None:
+def test_every_shipped_device_survives_with_all_its_parts_moved(tmp_path: pathlib.Path, name: str) -> None:
     """Each eye its own way, so that a left eye can no longer be written as the right one's mirror image."""
     device = load_device(name)
     eyes = {
@@ -119,7 +120,7 @@ def test_every_shipped_device_survives_with_all_its_parts_moved(tmp_path: Path, 
     assert_same(changed, saved(changed, tmp_path))
 
 
-def test_mirror_images_are_written_once(tmp_path: Path) -> None:
+def test_mirror_images_are_written_once(tmp_path: pathlib.Path) -> None:
     device = load_device("northstar")
     text = save_device(device, tmp_path / "saved.toml").read_text()
     assert text.count("[[eye]]") == 1
@@ -128,7 +129,7 @@ def test_mirror_images_are_written_once(tmp_path: Path) -> None:
     assert text.count("[[eye]]") == 2
 
 
-def test_a_left_eye_alone_keeps_its_mirrored_surfaces(tmp_path: Path) -> None:
+def test_a_left_eye_alone_keeps_its_mirrored_surfaces(tmp_path: pathlib.Path) -> None:
     device = load_device("northstar")
     alone = replace(device, eyes={"left": device.eyes["left"]})
     assert_same(alone, saved(alone, tmp_path))
@@ -136,7 +137,7 @@ def test_a_left_eye_alone_keeps_its_mirrored_surfaces(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["northstar", "freeform40", "birdbath28"])
-def test_form_errors_of_surfaces_and_a_bowed_panel_survive_in_both_eyes(tmp_path: Path, name: str) -> None:
+def test_form_errors_of_surfaces_and_a_bowed_panel_survive_in_both_eyes(tmp_path: pathlib.Path, name: str) -> None:
     """Two errors of each surface, one of them askew, in an eye and in its mirror image."""
     device = load_device(name)
     eye = device.eyes["right"]
@@ -171,7 +172,7 @@ def test_form_errors_of_surfaces_and_a_bowed_panel_survive_in_both_eyes(tmp_path
 
 
 @pytest.mark.parametrize("which", ["inner", "outer"])
-def test_an_offset_that_left_its_base_keeps_its_place(tmp_path: Path, which: str) -> None:
+def test_an_offset_that_left_its_base_keeps_its_place(tmp_path: pathlib.Path, which: str) -> None:
     device = load_device("northstar")
     motion = small_motion(3)
     eye = device.eyes["right"].with_surfaces(
@@ -228,13 +229,13 @@ BACK = surface_at("back", Conic(0.0), 0.06)
         raised(Offset(raised(Toroid(-0.3, 0.2), BUMP), 1e-3), BUMP),
     ],
 )
-def test_every_shape_survives(tmp_path: Path, shape: Shape) -> None:
+def test_every_shape_survives(tmp_path: pathlib.Path, shape: Shape) -> None:
     """Offsets here have bases, and these bases of their own, that no path meets."""
     device = device_of_plate(surface_at("front", shape, 0.04), BACK)
     assert_same(device, saved(device, tmp_path))
 
 
-def test_a_whole_ellipsoid_and_open_apertures_survive(tmp_path: Path) -> None:
+def test_a_whole_ellipsoid_and_open_apertures_survive(tmp_path: pathlib.Path) -> None:
     """The far side of an ellipsoid, told from the near one by z, behind a plate without edges."""
     plate = surface_at("front", Conic(0.0), 0.01, low=(-np.inf,) * 3, high=(np.inf,) * 3)
     shell = surface_at(
@@ -244,13 +245,13 @@ def test_a_whole_ellipsoid_and_open_apertures_survive(tmp_path: Path) -> None:
     assert_same(device, saved(device, tmp_path))
 
 
-def test_surface_and_base_names_do_not_collide(tmp_path: Path) -> None:
+def test_surface_and_base_names_do_not_collide(tmp_path: pathlib.Path) -> None:
     front = surface_at("front", Offset(Conic(5.0), 1e-3), 0.04)
     device = device_of_plate(front, replace(BACK, name="front_base"))
     assert_same(device, saved(device, tmp_path))
 
 
-def test_media_with_one_name_that_differ_between_the_eyes_are_distinguished(tmp_path: Path) -> None:
+def test_media_with_one_name_that_differ_between_the_eyes_are_distinguished(tmp_path: pathlib.Path) -> None:
     device = load_device("northstar")
     eyes = dict(device.eyes, left=device.eyes["left"].with_media(lambda medium: medium.shifted(0.004)))
     read = saved(replace(device, eyes=eyes), tmp_path)
@@ -271,7 +272,7 @@ def test_media_with_one_name_that_differ_between_the_eyes_are_distinguished(tmp_
         Medium.abbe("abbe", 1.62, 36.0),
     ],
 )
-def test_every_dispersion_survives(tmp_path: Path, medium: Medium) -> None:
+def test_every_dispersion_survives(tmp_path: pathlib.Path, medium: Medium) -> None:
     device = device_of_plate(surface_at("front", Conic(0.0), 0.04), BACK, medium)
     first = save_device(device, tmp_path / "first.toml")
     read = load_device(first).eyes["right"].see_through.steps[0].medium
@@ -281,7 +282,7 @@ def test_every_dispersion_survives(tmp_path: Path, medium: Medium) -> None:
     assert save_device(load_device(first), tmp_path / "second.toml").read_text() == first.read_text()
 
 
-def test_saving_and_reading_settles(tmp_path: Path) -> None:
+def test_saving_and_reading_settles(tmp_path: pathlib.Path) -> None:
     """Once read, a device whose axes are unit vectors is written to the same text again."""
     device = load_device("freeform40")
     first = save_device(device, tmp_path / "first.toml")

@@ -24,6 +24,7 @@ from oracle.own_tracer import turn
 from oracle.session import Session, observe
 from oracle.world import World
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
 
 QUIET = Plan(grid=(7, 6), dots=(7, 5), off_plane=4, sigma_px=0.0)
 FREEFORM = replace(QUIET, device="freeform40")
@@ -35,7 +36,7 @@ NORTH_STAR = ("substrate_index", "substrate_thickness")
 """Effects that North Star, whose combiner is met from inside, shows in the see-through part alone."""
 
 
-def see(plan: Plan, *effects: object) -> tuple[NDArray[Any], NDArray[Any], Session]:
+def see(plan: Plan, *effects: Effect) -> tuple[NDArray[Any], NDArray[Any], Session]:
     """Panel pixels (m, 2) of the display table and camera pixels (m, 2) of the other, and the session."""
     session = observe(plan, effects, np.random.default_rng(5))
     pixel = np.stack([session.display["pixel_u"], session.display["pixel_v"]], axis=-1)
@@ -43,14 +44,14 @@ def see(plan: Plan, *effects: object) -> tuple[NDArray[Any], NDArray[Any], Sessi
     return pixel, dots, session
 
 
-def change(plan: Plan, *effects: object) -> tuple[Any, Any, Any]:
+def change(plan: Plan, *effects: Effect) -> tuple[Any, Any, Any]:
     """By how much the effects move what is observed, where both benches observe it, else NaN."""
     pixel, dots, session = see(plan, *effects)
     clean_pixel, clean_dots, _ = see(plan)
     return pixel - clean_pixel, dots - clean_dots, session
 
 
-def largest(moved):
+def largest(moved: FloatArray):
     assert np.isfinite(moved).mean() > 0.1
     return np.nanmax(np.abs(moved))
 

@@ -19,11 +19,11 @@ from wlr_render.numerics.arrays import FloatArray
 QUIET = RunTimePlan(recordings=6, moments=20, sigma_px=0.0)
 
 
-def see(*effects: object, plan: RunTimePlan = QUIET) -> RunTimeSession:
+def see(*effects: Effect, plan: RunTimePlan = QUIET) -> RunTimeSession:
     return observe_run_time(plan, effects, np.random.default_rng(5))
 
 
-def gap(*effects: object, plan=QUIET) -> FloatArray:
+def gap(*effects: Effect, plan: RunTimePlan = QUIET) -> FloatArray:
     """By how much the virtual dot misses the real one, (n, 2) pixels, where both are seen."""
     session = see(*effects, plan=plan)
     return session.virtual - session.real

@@ -134,7 +134,7 @@ def test_a_clean_measured_display_is_predicted_to_the_noise() -> None:
     rows = [place[(row["capture"], row["camera_u"], row["camera_v"])] for row in measured]
     left = columns(measured, ["pixel_u", "pixel_v"]) - columns(own[rows], ["pixel_u", "pixel_v"])
 
-    def pixel(uv) -> FloatArray:
+    def pixel(uv: FloatArray) -> FloatArray:
         tangents = (uv - [640.0, 512.0]) / 1350.0
         direction = unit(np.concatenate([tangents, np.ones((len(uv), 1))], axis=-1))
         return device.panel.pixel(*device.trace(device.display, columns(measured, STAGE), direction, 0.55))

@@ -73,9 +73,9 @@ def test_a_changed_file_in_a_folder_changes_its_hash(tmp_path: Path) -> None:
     assert hashes[0] != hashes[1]
 
 
-def input_hash(out: Path, inputs: Sequence[Any]):
+def input_hash(out: Path, inputs: Sequence[Any]) -> str:
     report = save_report(Report("T", inputs=inputs), out, "report")
-    return json.loads(report.files[2].read_text())["provenance"]["inputs"][0]["sha256"]
+    return str(json.loads(report.files[2].read_text())["provenance"]["inputs"][0]["sha256"])
 
 
 def test_a_report_inside_its_input_does_not_change_the_hash(tmp_path: Path) -> None:

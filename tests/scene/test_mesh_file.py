@@ -338,7 +338,7 @@ def moved_corner(indices: Sequence[Any]) -> dict[Any, Any]:
     }
 
 
-def binary_ply(folder, corners: tuple[int, ...]):
+def binary_ply(folder: Path, corners: tuple[int, ...]):
     """A PLY of one triangle, whose faces say that they have so many corners."""
     header = ply(folder).read_bytes().partition(b"end_header\n")[0].replace(b"ascii", b"binary_little_endian")
     header = re.sub(rb"property uchar \w+\n", b"", header).replace(b"face 1", b"face %d" % len(corners))

@@ -460,13 +460,13 @@ endsolid {name}
 """
 
 
-def stl(folder, content):
+def stl(folder: Path, content: bytes) -> Path:
     path = folder / "part.stl"
     path.write_bytes(content)
     return path
 
 
-def binary_stl(triangles, promised=None):
+def binary_stl(triangles: Sequence[Any], promised: int | None = None) -> bytes:
     rows = b"".join(np.array([0, 0, 1, *np.ravel(corners)], np.float32).tobytes() + bytes(2) for corners in triangles)
     return b"solid, in binary".ljust(80) + struct.pack("<I", len(triangles) if promised is None else promised) + rows
 
@@ -498,7 +498,7 @@ def test_a_binary_stl_may_begin_as_an_ascii_one(tmp_path: Path) -> None:
         (SOLID.format(name="a", z="").encode(), "part.stl"),
     ],
 )
-def test_a_damaged_stl_is_refused(tmp_path: Path, content, complaint) -> None:
+def test_a_damaged_stl_is_refused(tmp_path: Path, content: dict[str, Any], complaint) -> None:
     path = stl(tmp_path, content)
     with pytest.raises(BadInputError, match=r"part\.stl") as caught:
         load_meshes(path)

@@ -13,6 +13,7 @@ from wlr_render.draw.painters import saturation_warnings
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.io.atomic_files import shipped_names
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.scene import scene_file
 from wlr_render.scene.scene import Instance, LightSource, Scene, world_positions
 from wlr_render.scene.scene_file import load_scene
@@ -39,11 +40,11 @@ def box_glb(tmp_path: Path) -> Path:
     return save_glb(scene, tmp_path / "box.glb")
 
 
-def tangents_of(scene: Scene, names: tuple[str, str]):
+def tangents_of(scene: Scene, names: tuple[str, str]) -> FloatArray:
     """Tangents of all vertices of some objects as the eye sees them, (n, 2)."""
     points = [world_positions(scene.mesh_of(i), i) for i in scene.instances if i.name in names]
     offset = np.concatenate(points) - EYE
-    return offset[:, :2] / -offset[:, 2:]
+    return np.asarray(offset[:, :2] / -offset[:, 2:])
 
 
 @pytest.mark.parametrize("name", shipped_names("scenes", ".toml"))

@@ -23,9 +23,9 @@ def corners(mesh: Mesh) -> FloatArray:
     return mesh.position.astype(np.float64)[mesh.triangles]
 
 
-def signed_volume(mesh: Mesh):
+def signed_volume(mesh: Mesh) -> float:
     a, b, c = np.moveaxis(corners(mesh), 1, 0)
-    return np.einsum("ij,ij->", a, np.cross(b, c)) / 6
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def test_every_shape_is_a_sound_mesh(shape: tuple[Any, Mesh]) -> None:

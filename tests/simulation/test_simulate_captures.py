@@ -226,7 +226,7 @@ def test_a_panel_that_nobody_sees_is_said(flat_image_headset: Eye) -> None:
     class Dark:
         panel = Panel(10, 10)
 
-        def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start=None) -> QueryResult:
+        def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
             seen = flat_image_headset.display.view_dir_of_pixel(pixel, viewpoint)
             return replace(seen, value=seen.value * np.nan, status=np.full_like(seen.status, 3))
 

@@ -81,8 +81,8 @@ def test_errors_depend_on_the_seed_and_grow_with_the_level() -> None:
             np.testing.assert_allclose(half[part], 0.5 * values, atol=1e-15)
 
 
-def rms(values: FloatArray):
-    return np.sqrt(np.mean(np.square(values)))
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def test_the_stage_errs_by_the_stated_sizes() -> None:
@@ -186,7 +186,7 @@ def captured(setup: CaptureSetup, seed: int = 7) -> tuple[DisplayCaptures, SeeTh
     return simulate_display(setup, at, rng), simulate_see_through(setup, at, rng)
 
 
-def errors(setup: CaptureSetup, display, see_through) -> tuple[FloatArray, FloatArray]:
+def errors(setup: CaptureSetup, display: Any, see_through: Any) -> tuple[FloatArray, FloatArray]:
     """Return the angles between captured and exact directions of panel and points, arcminutes."""
     shown = setup.truth.display.view_dir_of_pixel(display.pixel, display.viewpoint).value
     seen = setup.truth.see_through.view_dir_of_real_point(see_through.point, see_through.viewpoint).value

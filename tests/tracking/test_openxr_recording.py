@@ -34,7 +34,7 @@ def line(
 
 
 def head(
-    time_ns: int, position: tuple[float, float, float] = (0.0, 1.6, 0.0), turn: None = None, **others: Any
+    time_ns: int, position: tuple[float, float, float] = (0.0, 1.6, 0.0), turn: FloatArray | None = None, **others: Any
 ) -> dict[str, Any]:
     return line(time_ns, "view", "stage", position, turn, **others)
 

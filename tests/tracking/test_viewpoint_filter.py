@@ -47,7 +47,7 @@ steps = st.lists(st.tuples(st.floats(0.0, 0.15), samples, st.floats(0, 1)), min_
 @pytest.mark.slow
 @given(steps)
 @settings(max_examples=200, deadline=None)
-def test_whatever_comes_the_viewpoint_is_among_the_usable_samples_or_nominal(stream) -> None:
+def test_whatever_comes_the_viewpoint_is_among_the_usable_samples_or_nominal(stream: Any) -> None:
     viewpoint_filter, time_s, usable = new_filter(), 0.0, []
     for step_s, offset, confidence in stream:
         time_s += step_s

@@ -76,7 +76,7 @@ def swaying() -> Iterator[Any]:
         yield environment
 
 
-def run(environment, folder: Path, *arguments: object) -> tuple[Any, list[Any]]:
+def run(environment: dict[str, str], folder: Path, *arguments: object) -> tuple[Any, list[Any]]:
     """What the example prints, and its pictures of both eyes."""
     command = [sys.executable, str(EXAMPLE), *arguments]
     result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=200)

@@ -59,7 +59,7 @@ def done(
     return list(as_finished(run, tasks, WorkerPool(scheduler=address), folder))
 
 
-def square_in_a_worker_that_is_killed_once(folder, number) -> tuple[Any, int]:
+def square_in_a_worker_that_is_killed_once(folder: Path, number) -> tuple[Any, int]:
     """The first worker that has the number 3 is killed, before it answers."""
     mark = folder / "killed"
     if number == 3 and not mark.exists():

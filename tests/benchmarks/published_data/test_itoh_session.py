@@ -64,7 +64,7 @@ def pairs_through_plate(thickness: float) -> SeeThroughPairs:
     seconds = 60.0 * np.arange(len(VIEWS))
     return SeeThroughPairs(
         VIEWS, (1280, 1024), FOCAL, CENTRE, *map(np.array, (cameras, targets)), DOTS, *map(np.array, (bare, through)),
-        bare_time_s=seconds + 20, through_time_s=seconds,
+        bare_time_s=np.asarray(seconds + 20), through_time_s=np.asarray(seconds),
     )  # fmt: skip
 
 

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from _pytest.approx import ApproxScalar
 
 from benchmarks.published_data.viewpoint_evidence import EyeEvidence, ModelEvidence, rms, viewpoint_evidence
 from wlr_render.captures.correspondences import DisplayCaptures
@@ -67,7 +66,7 @@ def by_name(evidence: EyeEvidence) -> dict[str, ModelEvidence]:
     return {model.name: model for model in evidence.models}
 
 
-def noise_rms() -> ApproxScalar:
+def noise_rms() -> Any:
     """Of the two components of a direction; tangents far from the axis are a little less than angles."""
     return pytest.approx(np.sqrt(2) * SIGMA_ARCMIN, rel=0.15)
 

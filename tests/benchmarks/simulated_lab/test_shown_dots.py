@@ -1,6 +1,7 @@
 """The target as it is drawn: of the shape found; dots that the panel's edge would cut are not judged."""
 
 import numpy as np
+from present import present
 
 from benchmarks.simulated_lab.drawn_target import target_scene, wholly_shown
 from wlr_render.calibration.bench.board_shape import BoardShape
@@ -47,7 +48,7 @@ def test_the_target_is_drawn_in_the_shape_that_calibration_found() -> None:
     (mesh,), (instance,) = scene.meshes, scene.instances
     vertex = transforms.apply(instance.world_from_mesh, mesh.position.astype(float))
     # A vertex lies at each dot's centre: the texture's place says which.
-    at = (mesh.uv - 0.5) * board.size_m
+    at = (present(mesh.uv) - 0.5) * board.size_m
     nearest = np.argmin(np.linalg.norm(at[:, None] - nominal[:, :2], axis=-1), axis=0)
     np.testing.assert_allclose(at[nearest], nominal[:, :2], atol=1e-7)
     expected = transforms.apply(pose, shape.point_of(index, nominal))

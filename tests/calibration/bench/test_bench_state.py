@@ -181,7 +181,9 @@ def test_terms_of_a_narrow_lens_may_be_large() -> None:
 @pytest.mark.parametrize(("kind", "held"), [("fisheye", []), ("brown", []), ("rational", ["k4", "k5", "k6"])])
 def test_a_residual_field_replaces_the_last_terms_of_perspective_lenses_alone(kind: str, held: Sequence[str]) -> None:
     terms = 1e-3 * np.arange(1, len(LENS_KINDS[kind]) + 1)
-    lens = ResidualLens.of(LensCamera((1280, 1024), np.full(2, 900.0), np.array([640.0, 512.0]), terms, kind))
+    lens = ResidualLens.of(
+        LensCamera((1280, 1024), np.full(2, 900.0), np.array([640.0, 512.0]), np.asarray(terms), kind)
+    )
     block = lens_block(EYEBALL, lens, CameraSetup(lens.size_px, kind))
     assert [name for name, size in zip(lens.names, block.size, strict=True) if size <= EXACT] == held
     for name, middle, value in zip(lens.names, block.middle, lens.values, strict=True):

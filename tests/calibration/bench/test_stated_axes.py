@@ -5,7 +5,7 @@ all stated directions share one error: the adjustment takes the errors of the ax
 """
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ FEW = ReadingOptions(most_dots=120, panel_samples=50)
 STATED_DEG = 0.2
 
 
-def simulated(seed: int, sampling: str = "volumetric") -> SimulatedReadings:
+def simulated(seed: int, sampling: Literal["planar", "volumetric"] = "volumetric") -> SimulatedReadings:
     bench = PhotoBenchOptions(camera_px=(640, 512), seed=seed, sampling=sampling, stated_axes_deg=STATED_DEG)
     made = simulate_readings(SimulationRecipe("birdbath28", viewpoints=9, bench=bench), FEW)
     return replace(made, session=with_stated_lenses(made.session))

@@ -27,7 +27,7 @@ class WideLens:
         radius = 2 * self.focal * np.sin(0.5 * np.arctan2(across, point[:, 2]))
         return np.asarray(point[:, :2] * (radius / np.maximum(across, 1e-15))[:, None] * ASPECT + CENTRE)
 
-    def direction(self, pixel) -> NDArray[Any]:
+    def direction(self, pixel: FloatArray) -> NDArray[Any]:
         away = (pixel - CENTRE) / ASPECT
         radius = np.linalg.norm(away, axis=1, keepdims=True)
         angle = 2 * np.arcsin(radius / (2 * self.focal))

@@ -1,6 +1,7 @@
 """Pictures of a board by a plain camera, four by four rays a pixel, with the truth of where its dots are seen."""
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,11 @@ def truth(camera: LensCamera, camera_from_board: FloatArray, index: IntArray, bo
 
 
 def exposed(
-    light: FloatArray, white: float = 200.0, snr: int | None = None, seed: int = 1, dtype: type[np.uint32] = np.uint8
+    light: FloatArray,
+    white: float = 200.0,
+    snr: int | None = None,
+    seed: int = 1,
+    dtype: type[np.unsignedinteger[Any]] = np.uint8,
 ) -> NDArray[np.uint16] | NDArray[np.uint8]:
     """The picture that a camera makes: `white` grey values for 1, noise of white / snr."""
     noise = 0.0 if snr is None else np.random.default_rng(seed).normal(0, white / snr, light.shape)

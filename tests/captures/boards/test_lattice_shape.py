@@ -48,4 +48,4 @@ def test_the_doubt_is_what_noise_makes_of_the_expectation() -> None:
         noisy = pixel + rng.normal(0, 0.1, pixel.shape)
         off.append(noisy - lattice_shape(GRID, noisy).expected)
     seen = np.sqrt(np.mean(np.square(off), axis=(0, 2)))
-    assert seen / 0.1 == pytest.approx(lattice_shape(GRID, pixel).doubt, rel=0.25)
+    assert seen / 0.1 == pytest.approx(lattice_shape(GRID, np.asarray(pixel)).doubt, rel=0.25)

@@ -13,7 +13,7 @@ from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.mappings import Panel
 
 if TYPE_CHECKING:
-    from conftest import ToyCamera
+    from captures.patterns.conftest import ToyCamera
 
 PANEL = Panel(221, 175)
 SNR_20 = {"black": 20.0, "white": 180.0, "noise": 8.0}

@@ -22,7 +22,7 @@ pytestmark = [
 ]
 
 
-def opencv_decoder(panel: Panel):
+def opencv_decoder(panel: Panel) -> Any:
     return cv2.structured_light.GrayCodePattern.create(panel.width_px, panel.height_px)
 
 

@@ -526,9 +526,9 @@ def night(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         np.ones(count * each),
         rng.uniform([450, 350], [850, 650], (count * each, 2)),
     )
-    display = DisplayPlan(capture, time_s, travel, stage, np.ones_like(capture), pixel)
+    display = DisplayPlan(capture, np.asarray(time_s), travel, stage, np.ones_like(capture), pixel)
     dot = rng.uniform(-0.15, 0.15, (count * each, 2))
-    plan = SessionPlan(display, SeeThroughPlan(capture, time_s, travel, stage, capture % 2, dot))
+    plan = SessionPlan(display, SeeThroughPlan(capture, np.asarray(time_s), travel, stage, capture % 2, dot))
     save_session(folder / "session", believed, Session("night", plan, read_off(true, plan)))
     return folder / "session", save_bench(true, folder / "true.toml")
 

@@ -114,7 +114,7 @@ def test_display_alone_in_the_frame_of_the_camera(usual: SimulatedReadings, tmp_
 def test_both_eyes_have_one_bench_and_their_alignment_is_stated(usual: SimulatedReadings, tmp_path: Path) -> None:
     """The left eye is the right one photographed again: both displays agree within what is stated."""
 
-    def of_left(path: Path):
+    def of_left(path: Path) -> Path:
         return path.with_name(f"left_{path.name}")
 
     one, box = usual.session, usual.session.eye_box

@@ -277,7 +277,7 @@ def test_cameras_far_from_the_eye_box_are_refused(
 # What session.toml may not say.
 
 
-def in_metres(content) -> None:
+def in_metres(content: dict[str, Any]) -> None:
     for name in ("bare", "see_through", "display"):
         for item in content[name]:
             item["stage_mm"] = [value / 1000 for value in item["stage_mm"]]

@@ -132,7 +132,7 @@ def rest_urad(bench: PlannedBench, unit: NDArray[Any]) -> float:
     return 1e6 * float(np.std(rest - rest.mean(axis=1, keepdims=True)))
 
 
-def with_sizes(bench: PlannedBench, **sizes: Any):
+def with_sizes(bench: PlannedBench, **sizes: Any) -> PlannedBench:
     recipe = bench.recipe
     changed = replace(recipe.bench, imperfections=replace(recipe.bench.imperfections, **sizes))
     return replace(bench, recipe=replace(recipe, bench=changed))

@@ -27,7 +27,7 @@ HEADER = "x_mm,y_mm,z_mm"
 ROWS = ((1.5, -0.25, 0.0), (-2.0, 1.0, 1.0), (0.125, 0.5, -1.0))
 
 
-def written(folder: Path, *rows: object, header: str = HEADER) -> Path:
+def written(folder: Path, *rows: str, header: str = HEADER) -> Path:
     path = folder / "places.csv"
     path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
     return path

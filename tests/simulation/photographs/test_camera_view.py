@@ -105,7 +105,7 @@ def test_the_mirrored_panel_stands_on_its_place() -> None:
 
 
 def test_the_edge_of_a_mirror_cuts_the_panel_off() -> None:
-    def narrowed(surface):
+    def narrowed(surface: FloatArray):
         high = np.array([0.005, *surface.aperture.high[1:]])
         return replace(surface, aperture=ClearAperture(surface.aperture.low, high))
 

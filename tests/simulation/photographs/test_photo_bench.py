@@ -10,7 +10,7 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.photographs.camera import SimulatedLens
@@ -33,9 +33,11 @@ def bench(request: pytest.FixtureRequest) -> PhotoBench:
     return design_photo_bench(load_device(request.param), "right", OPTIONS)
 
 
-def in_picture(lens: SimulatedLens, camera_from_point: FloatArray, point: FloatArray, margin_px: float = 0.0):
+def in_picture(
+    lens: SimulatedLens, camera_from_point: FloatArray, point: FloatArray, margin_px: float = 0.0
+) -> BoolArray:
     pixel = lens.camera.pixel_of_point(transforms.apply(camera_from_point, point))
-    return np.all((pixel > margin_px) & (pixel < np.array(lens.camera.size_px) - margin_px), axis=-1)
+    return np.asarray(np.all((pixel > margin_px) & (pixel < np.array(lens.camera.size_px) - margin_px), axis=-1))
 
 
 def test_the_whole_panel_is_in_the_picture_from_every_place_of_the_sweep(bench: PhotoBench) -> None:

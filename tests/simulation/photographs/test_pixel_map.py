@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.pixel_map import PixelMap
 
 SIZE = (150, 90)
@@ -17,19 +18,19 @@ def places():
     return np.stack([u, v], axis=-1) + OFFSET
 
 
-def smooth(place) -> tuple[NDArray[Any], NDArray[Any]]:
+def smooth(place: FloatArray) -> tuple[NDArray[Any], NDArray[Any]]:
     u, v = place[..., 0] / 100, place[..., 1] / 100
     return np.stack([100 * np.sin(u + v), 50 * u * np.exp(v)], axis=-1), np.ones(place.shape[:-1], bool)
 
 
-def behind_a_round_hole(place) -> tuple[NDArray[Any], Any]:
+def behind_a_round_hole(place: FloatArray) -> tuple[NDArray[Any], Any]:
     """Light within a circle; far outside it there is not even a value."""
     value, _ = smooth(place)
     radius = np.hypot(place[..., 0] - 70, place[..., 1] - 40)
     return np.where((radius < 60)[..., None], value, np.nan), radius < 35
 
 
-def bent_along_a_line(place) -> tuple[Any, Any]:
+def bent_along_a_line(place: FloatArray) -> tuple[Any, Any]:
     value, lit = smooth(place)
     return value + np.abs(place[..., :1] - 61.7), lit
 

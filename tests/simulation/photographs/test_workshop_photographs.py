@@ -60,7 +60,7 @@ def test_rays_meet_the_bent_board_where_its_dots_are(bench: PhotoBench) -> None:
     light = BoardLight(bench.printed, np.eye(4))
     point = bench.printed.points[[0, 40, -1]].astype(np.float32)
     origin = np.array([0.1, -0.05, -0.8], dtype=np.float32)
-    ray = rays.pack(np.broadcast_to(origin, point.shape), point - origin).astype(np.float32)
+    ray = rays.pack(np.broadcast_to(origin, point.shape), np.asarray(point - origin)).astype(np.float32)
     place = light._place(ray[None])[0]
     np.testing.assert_allclose(place, point[:, :2], atol=2e-6)
 
@@ -77,7 +77,7 @@ def test_lens_and_pupil_are_the_workshops(bench: PhotoBench) -> None:
     assert not origin[:, :2].any()
 
 
-def motions(bench, perfect, viewpoints: int = 9) -> tuple[FloatArray, FloatArray]:
+def motions(bench: PhotoBench, perfect: PhotoBench, viewpoints: int = 9) -> tuple[FloatArray, FloatArray]:
     plan = plan_photographs(bench, viewpoints)
     true, exact = (true_camera_poses(each, plan).see_through for each in (bench, perfect))
     shift = [
@@ -90,7 +90,7 @@ def motions(bench, perfect, viewpoints: int = 9) -> tuple[FloatArray, FloatArray
     return np.array(shift), np.array(turn)
 
 
-def only(bench: PhotoBench, *names: object):
+def only(bench: PhotoBench, *names: object) -> PhotoBench:
     return replace(bench, workshop=present(bench.workshop).only(*names))
 
 
