@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from benchmarks.published_data.vive_hmd_config import read_vive_hmd_config
 
 
 def vive_config(path: Path, coefficients: Sequence[list[float]]) -> Path:
-    eye = {"intrinsics": [[2.0, 0, 0], [0, 2.0, 0], [0, 0, -1]]}
+    eye: dict[str, Any] = {"intrinsics": [[2.0, 0, 0], [0, 2.0, 0], [0, 0, -1]]}
     for name, k in zip(("distortion_red", "distortion", "distortion_blue"), coefficients, strict=True):
         eye[name] = {"coeffs": k}
     path.write_text(json.dumps({"tracking_to_eye_transform": [eye, eye]}))

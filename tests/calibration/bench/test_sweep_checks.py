@@ -96,4 +96,4 @@ def test_photographs_without_a_common_dot_show_nothing() -> None:
         BoardView(name, EYEBALL, index, POINT[:10], rng.uniform(100, 900, (10, 2)), np.full(10, 0.1))
         for name, index in (("first", INDEX[:10]), ("last", INDEX[10:20]))
     ]
-    assert present(sweep_check(0, None, [RepeatedView(0, np.eye(4), *views)], LENS)).ok
+    assert present(sweep_check(0, None, [RepeatedView(0, np.eye(4), views[0], views[1])], LENS)).ok

@@ -58,7 +58,7 @@ def page_in_node(folder: Path, address: str, ratio: int = 2) -> subprocess.Popen
     browser = BROWSER.replace("SEARCH", json.dumps("?remote=now")).replace("RATIO", str(ratio))
     program = folder.parent / "page.js"
     program.write_text(browser.replace("PAGE", address.rsplit("/", 1)[0]) + script, encoding="utf-8")
-    return subprocess.Popen([NODE, str(program)], stdout=subprocess.PIPE, text=True)
+    return subprocess.Popen([present(NODE), str(program)], stdout=subprocess.PIPE, text=True)
 
 
 @pytest.mark.slow
