@@ -13,7 +13,7 @@ from wlr_render.captures.boards.charuco import CharucoBoard
 from wlr_render.captures.boards.markers import dictionary_of
 from wlr_render.captures.photographs import Photograph, as_bytes, read_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
+from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.report.blocks import Cell, Report, ReportTable
 

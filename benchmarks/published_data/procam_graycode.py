@@ -16,8 +16,8 @@ import numpy as np
 from wlr_render.captures.camera_lens_file import check_nesting, require_plausible_lens
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens_camera import DISTORTION_TERMS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.io.input_files import as_bad_input, read_text
+from wlr_render.lenses.lens_camera import DISTORTION_TERMS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray
 

@@ -19,8 +19,8 @@ from wlr_render.captures.correspondences import Captures, SeeThroughCaptures, co
 from wlr_render.evaluation.truth_tests import PIXEL_DIRECTION, POINT_DIRECTION, TruthTests
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.lens import Lens
 from wlr_render.jobs.options import seed_of
+from wlr_render.lenses.lens import Lens
 from wlr_render.models.fitted_model import FittedModel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import traced_eye

@@ -9,7 +9,7 @@ from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING, CameraPl
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, place_key
 from wlr_render.calibration.poses import adjoint, motion_between
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens import Lens
+from wlr_render.lenses.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.camera import SimulatedLens
 

@@ -9,7 +9,7 @@ from benchmarks.simulated_lab.faults import Faults
 from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import SessionVisits, Visit

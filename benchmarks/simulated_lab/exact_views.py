@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import inverse, rotate
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.mappings import QueryResult
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics

@@ -21,7 +21,7 @@ from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.session_reading import PanelReading, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.photo_bench import passes_optics

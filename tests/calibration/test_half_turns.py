@@ -15,7 +15,7 @@ from wlr_render.captures.photo_session import BoardPhotograph, GivenPose
 from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 
 BOARD = Chessboard(6, 4, 0.03, 0.0)
 LENS = LensCamera((640, 480), np.full(2, 600.0), np.array([320.0, 240.0]))

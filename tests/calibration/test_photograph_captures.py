@@ -21,7 +21,7 @@ from wlr_render.captures.photo_session import CodeSet
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox, Panel
 
 CAMERA = LensCamera((640, 480), np.array([700.0, 700.0]), np.array([320.0, 240.0]), np.array([-0.1, 0, 0, 0, 0]))

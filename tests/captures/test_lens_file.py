@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.camera_lens_file import load_lens
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens_camera import LensCamera
-from wlr_render.geometry.splined_lens import SplinedLens
+from wlr_render.lenses.lens_camera import LensCamera
+from wlr_render.lenses.splined_lens import SplinedLens
 from wlr_render.numerics.arrays import FloatArray
 
 _MATRIX = np.array([[700.0, 0.0, 319.5], [0.0, 710.0, 239.5], [0.0, 0.0, 1.0]])

@@ -34,9 +34,9 @@ from wlr_render.captures.photographs import write_photograph
 from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.io.atomic_files import resource
 from wlr_render.io.toml_files import write_toml
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 

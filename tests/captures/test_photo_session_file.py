@@ -17,7 +17,7 @@ from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import write_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox, Panel
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Decoded
 from wlr_render.evaluation.code_quality import Lenses, distance_to_planes, find_planes, fit_planes
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 LEFT = np.array([[0.7, 0.02, 30.0], [-0.01, 0.8, 20.0], [1e-5, 2e-5, 1.0]])

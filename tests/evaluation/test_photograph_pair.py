@@ -9,7 +9,7 @@ import pytest
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.evaluation.photograph_pair import pair_misalignment
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 
 CAMERA = LensCamera((1000, 800), np.array([1000.0, 1000.0]), np.array([500.0, 400.0]))
 

@@ -36,7 +36,7 @@ from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
-from wlr_render.geometry.lens import Lens, radians_per_pixel
+from wlr_render.lenses.lens import Lens, radians_per_pixel
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 from wlr_render.usual import CAMERA_SYSTEMATIC_PX

@@ -15,9 +15,9 @@ import numpy as np
 
 from wlr_render.captures.plain_data import read_mapping
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
-from wlr_render.geometry.splined_lens import SplinedLens
 from wlr_render.io.input_files import as_bad_input, prefix_errors, read_text, require_pixels, shown
+from wlr_render.lenses.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.lenses.splined_lens import SplinedLens
 from wlr_render.numerics.arrays import FloatArray
 
 _MRCAL_MODELS = {  # number of distortion terms, and the kind of lens

@@ -17,10 +17,10 @@ from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens import Lens
 from wlr_render.geometry.pose_keys import ROTATION, pose_keys
 from wlr_render.io.file_records import DEGREES, ELSEWHERE, LENGTH, POINT, VECTOR, Key, Keys, Quantity, Rule, scaled
 from wlr_render.io.input_files import LIMITS
+from wlr_render.lenses.lens import Lens
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 

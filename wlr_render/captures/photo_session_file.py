@@ -36,12 +36,12 @@ from wlr_render.captures.photo_session_entries import (
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.io.atomic_files import resource
 from wlr_render.io.file_records import MM, Place, read_part, read_record, record_keys
 from wlr_render.io.input_files import LIMITS, prefix_errors, require_eye_box, require_pixels
 from wlr_render.io.toml_files import Table, read_toml, stated, write_toml
+from wlr_render.lenses.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Decoded
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 PixelArray = NDArray[np.floating[Any]]

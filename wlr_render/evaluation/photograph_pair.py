@@ -11,7 +11,7 @@ from wlr_render.captures.boards.board import Board, BoardObservation
 from wlr_render.captures.photographs import describe_pixels, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.geometry.lens import Lens
+from wlr_render.lenses.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 
 

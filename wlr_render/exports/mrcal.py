@@ -15,8 +15,8 @@ from wlr_render.exports.facts import facts, header_texts
 from wlr_render.exports.format import Capabilities, Format, Loss
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
-from wlr_render.geometry.splined_lens import SplinedLens
 from wlr_render.io.atomic_files import write_text
+from wlr_render.lenses.splined_lens import SplinedLens
 from wlr_render.numerics.arrays import FloatArray
 
 _COLUMNS = (12, 16, 20, 26, 32)

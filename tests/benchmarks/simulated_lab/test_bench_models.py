@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.simulated_lab.bench_models import true_to_found
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.simulation.photographs.camera import SimulatedLens
 
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from benchmarks.simulated_lab import exact_views
-from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, inverse, rigid, rotate, rotation_about
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay

@@ -26,7 +26,7 @@ from wlr_render.calibration.poses import small_motion
 from wlr_render.captures.boards.board import USUAL_TOLERANCES
 from wlr_render.captures.photo_session import StageDescription
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from wlr_render.calibration.bench.state import BenchState, StageModel
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LENS_KINDS, LensCamera
-from wlr_render.geometry.residual_lens import ResidualLens
+from wlr_render.lenses.lens_camera import LENS_KINDS, LensCamera
+from wlr_render.lenses.residual_lens import ResidualLens
 from wlr_render.numerics.arrays import FloatArray
 
 

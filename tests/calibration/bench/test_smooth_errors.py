@@ -20,7 +20,7 @@ from wlr_render.calibration.bench.start import start_state
 from wlr_render.calibration.bench.station_file import load_station, save_station
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 PRINT_M, HEIGHT_M, SCREW_M, PERIOD_M, RIPPLE_PX = 6e-5, 1e-4, 1e-5, 1.7e-3, 0.1

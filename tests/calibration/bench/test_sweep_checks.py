@@ -10,8 +10,8 @@ from wlr_render.calibration.bench.bench_checks import Check
 from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.calibration.bench.sweep_checks import NEGLIGIBLE_ARCMIN, RepeatedView, sweep_check
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import apply, rigid, rotation_about
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 LENS = LensCamera((1280, 1024), np.full(2, 1350.0), np.array([640.0, 512.0]))

@@ -11,7 +11,7 @@ from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations,
 from wlr_render.calibration.bench.lenses import sound_views
 from wlr_render.calibration.bench.start import board_pose, start_state
 from wlr_render.captures.boards.board import USUAL_TOLERANCES
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 
 
 @pytest.mark.slow

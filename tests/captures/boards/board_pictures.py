@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import Board
 from wlr_render.captures.boards.board_design import design_board
-from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import apply, rigid, rotation_about
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 BOARD = design_board(18, 14, 0.01)

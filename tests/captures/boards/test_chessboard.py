@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import BoardNotFoundError
 from wlr_render.captures.boards.chessboard import Chessboard
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 
 BOARD = Chessboard(8, 5, 0.018, 0.018)
 TURNS = [0, 75, 180, 290]

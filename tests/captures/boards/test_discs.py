@@ -9,8 +9,8 @@ from wlr_render.captures.boards.board import Board
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.circle_grid import CircleGrid
 from wlr_render.captures.boards.lattice_shape import Discs, lattice_shape
-from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import apply, rigid, rotation_about
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 FEW = design_board(12, 9, 0.036)

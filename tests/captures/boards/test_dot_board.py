@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import BoardNotFoundError, BoardObservation
 from wlr_render.captures.boards.board_design import design_board
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 VIEW = pose(turn_deg=25, tilt_deg=20, distance_m=0.27)

@@ -5,8 +5,8 @@ import pytest
 
 from benchmarks.simulated_lab import exact_views
 from wlr_render.captures.boards.dot_board import DotBoard
-from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, inverse, rigid, rotation_about
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.board_light import BoardLight, FarWall

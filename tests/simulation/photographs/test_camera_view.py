@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from benchmarks.simulated_lab.exact_views import panel_position
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, inverse, rigid, rotate, rotation_about
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture, EyeOptics
 from wlr_render.optics.device_file import load_device

@@ -6,7 +6,7 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.simulation.photographs.camera import SimulatedLens
 
 CAMERA = LensCamera((640, 480), np.array([700.0, 690.0]), np.array([322.0, 236.0]), np.array([-0.1, 0.02, 1e-3, 0, 0]))

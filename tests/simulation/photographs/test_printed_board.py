@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.boards.board_design import design_board
-from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, inverse, rigid, rotation_about
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.board_light import BoardLight, FarWall
 from wlr_render.simulation.photographs.camera import SimulatedLens

@@ -19,9 +19,9 @@ from wlr_render.captures.boards.board import BoardTolerances
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.lens import Lens
-from wlr_render.geometry.lens_camera import LensCamera
-from wlr_render.geometry.residual_lens import RESIDUAL, ResidualLens
+from wlr_render.lenses.lens import Lens
+from wlr_render.lenses.lens_camera import LensCamera
+from wlr_render.lenses.residual_lens import RESIDUAL, ResidualLens
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.evidence import Prior
 

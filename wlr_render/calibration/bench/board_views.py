@@ -13,8 +13,8 @@ import numpy as np
 from wlr_render.captures.boards.board import BoardTolerances
 from wlr_render.captures.boards.lattice_shape import Discs
 from wlr_render.captures.photo_session import StageAxis, StageDescription
-from wlr_render.geometry.lens import Lens
 from wlr_render.io.input_files import LIMITS
+from wlr_render.lenses.lens import Lens
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 EYEBALL, TRACKING = "eyeball", "tracking"

@@ -28,7 +28,7 @@ from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, Ses
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens import Lens
+from wlr_render.lenses.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 
 _EXACT = (0.0, 0.0)

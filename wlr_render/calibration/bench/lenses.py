@@ -18,8 +18,8 @@ from wlr_render.calibration.bench.state import BenchState
 from wlr_render.captures.boards.board_homography import by_homography
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens import Lens
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens import Lens
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 _KINDS = ("brown", "fisheye", "rational")  # in order of preference; thin prisms are tried where rational terms help

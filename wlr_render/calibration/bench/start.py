@@ -36,8 +36,8 @@ from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.feature_captures import TARGET_POSES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens import Lens
-from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.lenses.lens import Lens
+from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 _SOME = 80  # features of a view that the start takes: it need not be exact, and OpenCV's time grows with them

@@ -23,7 +23,7 @@ from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING, BenchObs
 from wlr_render.calibration.poses import adjoint, small_motion
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens import Lens
+from wlr_render.lenses.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 
 DRIFT_DEGREE = 4

@@ -20,14 +20,14 @@ from wlr_render.calibration.bench.state import StageModel
 from wlr_render.calibration.poses import Pose, adjoint
 from wlr_render.captures.camera_lens_file import require_plausible_lens
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens import Lens
-from wlr_render.geometry.lens_camera import LensCamera
-from wlr_render.geometry.residual_lens import ResidualLens
-from wlr_render.geometry.splined_lens import SplinedLens
 from wlr_render.geometry.transforms import is_rotation
 from wlr_render.io.atomic_files import write_text
 from wlr_render.io.input_files import require_length, shown
 from wlr_render.io.toml_files import Table, read_json
+from wlr_render.lenses.lens import Lens
+from wlr_render.lenses.lens_camera import LensCamera
+from wlr_render.lenses.residual_lens import ResidualLens
+from wlr_render.lenses.splined_lens import SplinedLens
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.smooth_field import SmoothField
 

@@ -18,7 +18,7 @@ from wlr_render.calibration.bench.faults import NEGLIGIBLE_M, NEGLIGIBLE_RAD, Fa
 from wlr_render.calibration.poses import motion_between
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.lens import Lens, radians_per_pixel
+from wlr_render.lenses.lens import Lens, radians_per_pixel
 from wlr_render.numerics.arrays import FloatArray
 
 NEGLIGIBLE_ARCMIN = NEGLIGIBLE_RAD / ARCMIN

@@ -23,8 +23,8 @@ from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.boards.markers import detect_markers, dictionary_of, marker_areas, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
-from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.io.file_records import Key, Quantity, Rule
+from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 DICTIONARY = "DICT_APRILTAG_36h11"

@@ -31,8 +31,8 @@ from wlr_render.captures.boards.markers import (
     markers_of_opencv,
 )
 from wlr_render.captures.photographs import Photograph, as_bytes
-from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.io.file_records import Key
+from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _LEAST_MARKERS = 4  # fewest markers; fewer may be chance, or fit any homography

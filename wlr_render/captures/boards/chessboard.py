@@ -22,8 +22,8 @@ from wlr_render.captures.boards.board_keys import MARGIN, MOST_FEATURES, BoardLe
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.photographs import Photograph, as_bytes
-from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.io.file_records import Key
+from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.numerics.arrays import FloatArray
 
 _SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from wlr_render.geometry.directions import normalised
-from wlr_render.geometry.lens import Lens
+from wlr_render.lenses.lens import Lens
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _NEIGHBOURS = 24  # number of neighbours: a 5 x 5 window without its middle

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
+from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 

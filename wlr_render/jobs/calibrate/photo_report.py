@@ -15,11 +15,11 @@ from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.residual_lens import RESIDUAL, ResidualLens
 from wlr_render.io.atomic_files import write_figure
 from wlr_render.jobs.calibrate.eye_tables import binocular_table, primaries_table
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
 from wlr_render.jobs.decode import rejection_colours
+from wlr_render.lenses.residual_lens import RESIDUAL, ResidualLens
 from wlr_render.report.blocks import Block, Cell, Columns, Estimate, Number, Picture, Plot, ReportTable, Section, table
 from wlr_render.report.plots import bars
 

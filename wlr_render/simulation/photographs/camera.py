@@ -13,7 +13,7 @@ from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import normalised
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.workshop import Workshop
 

@@ -29,7 +29,7 @@ class BenchImperfections:
         anisotropy: fraction by which the board is printed longer in y than in x.
         scale_error: fraction by which the whole board is printed larger or smaller.
         dot_error_um: random displacement of each dot on the board, per axis.
-        lens: kind of the true eyeball lens and tracking lens, see `geometry.lens_camera.LENS_KINDS`.
+        lens: kind of the true eyeball lens and tracking lens, see `lenses.lens_camera.LENS_KINDS`.
         lens_px: rms residual in pixels per axis of a fit of the five Brown terms to a "rational" or "thin-prism" lens.
         decentring: tangential distortion added to each lens, p1 and p2 each.
         focus_breathing: relative change of the eyeball camera's focal length between the farthest and nearest target.

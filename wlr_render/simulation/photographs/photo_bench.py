@@ -10,8 +10,8 @@ from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents, normalised
-from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.io.file_records import Key
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import Device, EyeOptics

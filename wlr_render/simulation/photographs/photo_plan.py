@@ -23,7 +23,7 @@ from wlr_render.captures.photo_session import (
 from wlr_render.captures.photo_session_entries import with_places
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, stage_readings

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens_camera import LENS_KINDS, LensCamera
+from wlr_render.lenses.lens_camera import LENS_KINDS, LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 

@@ -9,8 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from wlr_render.geometry.lens import Projection
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.lenses.lens import Projection
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.smooth_field import SmoothField
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from wlr_render.geometry.lens_camera import LensCamera
-from wlr_render.geometry.residual_lens import ResidualLens
+from wlr_render.lenses.lens_camera import LensCamera
+from wlr_render.lenses.residual_lens import ResidualLens
 from wlr_render.numerics.arrays import FloatArray
 
 _MODEL = LensCamera(

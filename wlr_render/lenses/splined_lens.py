@@ -8,7 +8,7 @@ from scipy.interpolate import NdBSpline
 from scipy.spatial import cKDTree
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens import GNOMONIC, STEREOGRAPHIC, Projection, undistorted
+from wlr_render.lenses.lens import GNOMONIC, STEREOGRAPHIC, Projection, undistorted
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _STARTS_PER_KNOT = 4  # first guesses of Newton's method per knot: it converges from the nearest one

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.lenses.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 _BROWN = np.array([-0.21, 0.11, 1e-3, -7e-4, -0.03])

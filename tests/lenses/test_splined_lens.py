@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.splined_lens import SplinedLens
+from wlr_render.lenses.splined_lens import SplinedLens
 from wlr_render.numerics.arrays import FloatArray
 
 _SIZE, _FOCAL, _CENTRE = (3000, 2000), np.array([1500.0, 1510.0]), np.array([1500.0, 990.0])

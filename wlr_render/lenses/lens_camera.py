@@ -11,7 +11,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens import EQUIDISTANT, GNOMONIC, Azimuthal, Projection, undistorted
+from wlr_render.lenses.lens import EQUIDISTANT, GNOMONIC, Azimuthal, Projection, undistorted
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 OPENCV_PIXEL_SHIFT = -0.5

@@ -1,0 +1,1 @@
+"""Lens models of cameras: pixels of directions, and back, with derivatives."""
