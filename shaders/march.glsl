@@ -6,6 +6,8 @@
 uniform sampler2D tiles;  // smallest and largest inverse depth of TILE x TILE texels
 
 const float NUDGE_PX = 1e-3;  // texels that a path crosses over a shorter length are skipped
+const float MARGIN_PX = float(TILE);
+const float UNKNOWN = -1.0;
 
 float smooth_inverse_depth(vec2 pixel)
 {
@@ -33,9 +35,14 @@ int march(vec2 at_infinity, vec2 shift, out vec2 pixel)
     vec2 per_shift = (1.0 - 2.0 * ahead) / max(abs(shift), 1e-12);
     vec2 tiles_per_px = 1.0 / (float(TILE) * vec2(textureSize(tiles, 0)));
 
+    // The path within the image and a margin, whose border repeats: a very near texel may begin it far outside.
+    vec2 from_first = (-MARGIN_PX - at_infinity) * per_shift, from_last = (size_px + MARGIN_PX - at_infinity) * per_shift;
+    vec2 enters = max(from_first, from_last), leaves_image = min(from_first, from_last);
     // Rounded bounds leave out none of the depths between them.
-    float far_end = range.x * (1.0 - 1e-6), here = range.y * (1.0 + 1e-6);
-    float before = here, met = here;
+    float last = range.x * (1.0 - 1e-6), far_end = max(last, max(leaves_image.x, leaves_image.y));
+    float here = min(range.y * (1.0 + 1e-6), min(enters.x, enters.y));
+    bool never_enters = here < far_end;
+    float before = UNKNOWN, met = here;
     bool in_front = true, meets = false, searching = true;
     do {
         vec2 place = at_infinity + here * shift + nudge;
@@ -52,13 +59,14 @@ int march(vec2 at_infinity, vec2 shift, out vec2 pixel)
         bool is_behind = seen > here;
         bool behind_tile = !in_front && bounds.x > here && is_one_surface(bounds.x, bounds.y, 0.5 * one_px);
         bool skips = bounds.y < end_of_tile || behind_tile;
-        bool joins = is_one_surface(before, seen, 0.5 * one_px);
+        // At its beginning the path is in front, or just outside the image, where it has met the border's surface.
+        bool joins = before == UNKNOWN || is_one_surface(before, seen, 0.5 * one_px);
         meets = meets || searching && !skips && seen >= end && (!is_behind || in_front && joins);
         bool edge = !meets && !skips && is_behind && !joins;
         met = !searching ? met : meets ? min(seen, here) : edge ? max(seen, before) : met;
         before = skips ? bounds.y : seen;
         in_front = skips ? in_front : !is_behind;
-        here = meets ? here : skips ? end_of_tile : end;
+        here = meets ? here : min(skips ? end_of_tile : end, here * (1.0 - 1e-7));
         searching = !meets && here > far_end;
     } while (searching);
     // Twice, then what a plane's steps converge to.
@@ -68,6 +76,7 @@ int march(vec2 at_infinity, vec2 shift, out vec2 pixel)
     bool converges = abs(second_step) < 0.5 * abs(first_step);
     float limit = converges ? third + second_step * second_step / (first_step - second_step) : third;
     bool stays = meets && abs(limit - met) * px_per_inverse_depth < 1.5;
-    pixel = at_infinity + (stays ? limit : met) * shift;
+    bool is_outside = never_enters || !meets && in_front && far_end > last;
+    pixel = is_outside ? vec2(-MARGIN_PX) : at_infinity + (stays ? limit : met) * shift;
     return meets ? SEEN : DISOCCLUDED;
 }

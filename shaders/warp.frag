@@ -4,7 +4,7 @@
 // What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.
 //
 // Written for software renderers too: a texture read at normalised coordinates costs them less than texelFetch, and
-// outputs that nobody asked for are not compiled in.
+// unused outputs are not compiled in.
 
 uniform sampler2D picture;  // gives linear light
 uniform sampler2D inverse_depth;
@@ -37,7 +37,7 @@ flat in float samples_per_axis;
 flat in float filled;  // 1 if an inset's wider picture is not drawn here
 
 layout(location = 0) out vec4 colour;
-#if OUTPUTS
+#if WITH_STATUS
 layout(location = 1) out uint worst_status;
 layout(location = 2) out vec2 source;
 #endif
@@ -150,7 +150,7 @@ void main()
     light *= texture(uniformity, panel_place).rgb;
 #endif
     colour = vec4(code_of(light), alpha);
-#if OUTPUTS
+#if WITH_STATUS
     worst_status = uint(worst);
     source = seen_at;
 #endif

@@ -62,6 +62,6 @@ void main()
     panel_place = vec2(point) / vec2(points - 1);
 #endif
     vec2 place = 2.0 * vec2(point) / vec2(points - 1) - 1.0;
-    bool mine = !skipped && direct == (MARCH == 0);
-    gl_Position = mine ? vec4(place.x, top_row_first ? place.y : -place.y, 0.0, 1.0) : vec4(0.0, 0.0, 0.0, 1.0);
+    bool is_drawn_here = !skipped && direct == (MARCH == 0);
+    gl_Position = is_drawn_here ? vec4(place.x, top_row_first ? place.y : -place.y, 0.0, 1.0) : vec4(0.0, 0.0, 0.0, 1.0);
 }

@@ -105,6 +105,19 @@ def test_a_thin_pole_is_not_lost_when_a_corner_shows_something_very_near(
     np.testing.assert_allclose(present(result.source)[0, on_pole, 0], at_pole[on_pole], atol=2e-3)
 
 
+@pytest.mark.parametrize("nearest_m", [1e-2, 1e-4])
+def test_a_spot_at_the_lens_changes_nothing_that_rays_beside_it_meet(gl_context: GlContext, nearest_m: float) -> None:
+    """Paths begin up to 100,000 px outside the picture; what they meet in it is what they meet without the spot."""
+    depth = np.full(CAMERA.width_px, FAR)
+    depth[120:122] = NEAR
+    image, plain = columns(depth), columns(depth)
+    image.inverse_depth[16:18, 100:102] = 1 / nearest_m
+    slope_offset = rays(np.arange(60.0, 180.0, 0.0731), 20.0)
+    found, expected = (warped(gl_context, each, CAMERA, [slope_offset]) for each in (image, plain))
+    np.testing.assert_array_equal(found.status, expected.status)
+    np.testing.assert_allclose(present(found.source), present(expected.source), atol=2e-3)
+
+
 def test_a_ray_that_passes_behind_a_pole_and_comes_out_sees_the_wall(gl_context: GlContext) -> None:
     depth = np.full(CAMERA.width_px, FAR)
     depth[120:123] = NEAR

@@ -152,13 +152,12 @@ class GlEye:
         if overlays:
             OverlayImport(self._context)
         overlay = SeenOverlay(image.colour, np.eye(3))
-        for poses, target, pictures, over in itertools.product(
-            (np.eye(4), np.broadcast_to(np.eye(4), (plan.size_px[1], 4, 4))),
+        for target, pictures, over in itertools.product(
             (None, WarpTarget(framebuffer, (0, 0), plan.size_px, False)),
             ([picture], [picture, picture])[: 1 + insets],
             ([], [overlay])[: 1 + bool(overlays)],
         ):
-            self._composed(pictures, at, poses, target, False, over)
+            self._composed(pictures, at, np.eye(4), target, False, over)
         self.generation += 1
 
     def _composed(

@@ -99,8 +99,8 @@ class GlWarp:
 
     A first pass finds, for each cell of the warp grid, where its rays appear in the image and at which inverse depths
     they may meet it. The cells are then drawn in one call of each kind, because software renderers run both sides of a
-    branch for every pixel: cells that the image's depth moves by less than DIRECT_PX and cells whose pixels march; each
-    kind again with filtering, if the cell minifies the image by more than SPACING_PX, or without.
+    branch for every pixel: cells that the image's depth moves by less than DIRECT_PX, and cells whose pixels search
+    along their rays. Each cell has the number of samples of its display pixels.
 
     An inset, a sharper image of a part of the field of view, is drawn in the same way over the wider image; the wider
     image skips the cells that the inset fills. The inset's border blends into the wider image (`PictureImport.take`),
@@ -149,9 +149,8 @@ class GlWarp:
                 f"source {with_source}", size_px, (4, self._panel.texture_kind), (1, "u1"), *source_format
             )
             target = WarpTarget(made.framebuffer, (0, 0), size_px, True)
-            constants = {"OUTPUTS": 1}
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
-            self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, **constants)
+            self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, with_status=True)
         colour, status, *source = made.textures
         return GpuWarped(self._context, colour, status, source[0] if source else None)
 
@@ -169,10 +168,9 @@ class GlWarp:
         """Draw the colour of the same image into a caller's framebuffer; arguments and errors as `draw`."""
         with self._context.drawing():
             before = target.framebuffer.viewport
-            constants = {"OUTPUTS": 0}
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
             try:
-                self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, **constants)
+                self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, with_status=False)
             finally:
                 target.framebuffer.viewport = before
 
@@ -184,7 +182,7 @@ class GlWarp:
         target: WarpTarget,
         background: tuple[int, int, int],
         overlays: Sequence[SeenOverlay],
-        **constants: int,
+        with_status: bool,
     ) -> None:
         _check(ray_maps, self._channels, image_from_ray_map, target.size_px)
         while len(self._cells) < len(pictures):
@@ -195,7 +193,7 @@ class GlWarp:
             cells.insert(0, self._cells[k].draw(*drawn, is_inset=k > 0, inset=cells[0] if cells else None))
         target.framebuffer.viewport = (*target.first_px, *target.size_px)
         self._context.draw_to(target.framebuffer)
-        constants["OVERLAYS"] = int(bool(overlays))
+        constants = {"WITH_STATUS": int(with_status), "OVERLAYS": int(bool(overlays))}
         light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
         columns, rows = ray_maps[0].warp_grid.size
         for k, (picture, of_picture) in enumerate(zip(pictures, cells, strict=True)):
@@ -289,7 +287,11 @@ class _GlCells:
         program = drawing.program
         rays = [each.slope_offset for each in ray_maps]
         textures: dict[str, Any] = {"ranges": ranges.pyramid, "slope_offset": rays}
-        textures |= {"row_matrices": rays[0], "inset_paths": rays[0], "inset_ranges": rays[0]}  # unless there are some
+        textures |= {
+            "row_matrices": rays[0],
+            "inset_paths": rays[0],
+            "inset_ranges": rays[0],
+        }  # placeholders: unused samplers are bound, too
         if by_rows:
             rows = self._targets.get("row matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
             rows.write(np.ascontiguousarray(_at_grid_rows(matrices, warp_grid.rows), np.float32))
