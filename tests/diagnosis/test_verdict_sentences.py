@@ -195,11 +195,8 @@ def test_a_degenerate_cause_is_measured_against_only_where_the_session_does_not_
     assert not any("Before acting" in step for step in advice(decided))
     assert f"separate it from {OTHER}" in advice(doubtful)[0]
     assert "(log10 odds against it 0.4): a nearer target" in advice(doubtful)[0]
-    odds = (
-        [row[-1] for row in tables.ranking_table(decided).rows],
-        [row[-1] for row in tables.ranking_table(doubtful).rows],
-    )
-    assert odds == (["> 20"], ["0.4"])
+    odds = [tables.ranking_table(each).text_rows()[0][-1] for each in (decided, doubtful)]
+    assert odds == ["> 20", "0.4"]
 
 
 def test_a_value_is_compared_with_its_usual_size_or_the_prior_that_the_bench_states(explained: Diagnosis) -> None:
