@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from present import present
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium")
@@ -27,9 +28,9 @@ class OpenedPage:
 def open_page(path: Path, folder: Path) -> OpenedPage:
     """Load a file without network; `folder` takes the browser's profile."""
     command = [
-        CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--enable-logging=stderr",
-        "--log-level=0", "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={folder}/profile",
-        "--virtual-time-budget=20000", "--dump-dom", path.resolve().as_uri(),
+        present(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+        "--enable-logging=stderr", "--log-level=0", "--host-resolver-rules=MAP * ~NOTFOUND",
+        f"--user-data-dir={folder}/profile", "--virtual-time-budget=20000", "--dump-dom", path.resolve().as_uri(),
     ]  # fmt: skip
     result = subprocess.run(command, capture_output=True, text=True, timeout=120)
     console = [line for line in result.stderr.splitlines() if "CONSOLE" in line]

@@ -5,12 +5,14 @@ import os
 import subprocess
 import sys
 import textwrap
-from collections.abc import Mapping, Sequence
-from ctypes import c_double, c_int, c_uint, c_void_p
+from collections.abc import Callable, Mapping, Sequence
+from ctypes import c_double, c_float, c_int, c_uint, c_void_p
 from pathlib import Path
+from typing import Any
 
 import moderngl
 import numpy as np
+from present import narrowed
 
 # What is odd, and OpenGL's name of it for glGetDoublev (a switch is a value to it).
 ODD_SWITCHES = [
@@ -30,12 +32,26 @@ READ = {
 }  # fmt: skip
 READ_PER_BUFFER = {"colour mask": 0x0C23, "blend": 0x0BE2} | {f"blend {e:#x}": e for e in range(0x80C8, 0x80CC)}
 
+Number = type[c_double | c_float | c_int | c_uint | c_void_p]
+"""Types of the arguments of OpenGL's functions."""
+
+
+def open_other(require: int = 430, backend: str = "egl") -> moderngl.Context:
+    """The context of another program."""
+    settings: Any = {"backend": backend}  # ModernGL's stubs ask for a dictionary as each setting
+    return moderngl.create_context(standalone=True, require=require, **settings)
+
+
+def make_current(context: moderngl.Context) -> None:
+    enter: Callable[[], object] = context.__enter__  # without types in ModernGL's stubs
+    enter()
+
 
 class Caller:
     """A program with a ModernGL context of its own, and everything in it set to odd values."""
 
     def __init__(self) -> None:
-        self.ctx = moderngl.create_context(standalone=True, require=430, backend="egl")
+        self.ctx = open_other()
         self.mesh = self.ctx.vertex_array(
             self.ctx.program(
                 vertex_shader="#version 430\nin vec2 at; void main() { gl_Position = vec4(at, 0.5, 1.0); }",
@@ -55,9 +71,7 @@ class Caller:
         self.gl("glBindVertexArray", 0)
         self.gl("glBindBuffer", 0x8892, 0)
 
-    def gl(
-        self, name: str, *arguments: float, types: Sequence[type[c_double | c_int | c_uint | c_void_p]] | None = None
-    ) -> int:
+    def gl(self, name: str, *arguments: float, types: Sequence[Number] | None = None) -> int:
         address = self.ctx.mglo._context.load(name)
         types = types or [ctypes.c_float if isinstance(a, float) else ctypes.c_uint for a in arguments]
         return int(ctypes.CFUNCTYPE(ctypes.c_ubyte, *types)(address)(*arguments))
@@ -65,7 +79,8 @@ class Caller:
     def set_odd_values(self) -> None:
         self.framebuffer.use()
         self.framebuffer.viewport, self.framebuffer.scissor = (1, 2, 5, 3), (2, 1, 4, 5)
-        self.framebuffer.color_mask = (True, False, True, True), (False, True, True, False)
+        masks: Any = (True, False, True, True), (False, True, True, False)  # ModernGL's stubs know a single mask
+        self.framebuffer.color_mask = masks
         self.ctx.enable_only(moderngl.BLEND | moderngl.CULL_FACE)
         self.ctx.wireframe, self.ctx.front_face, self.ctx.cull_face = True, "cw", "front"
         self.ctx.polygon_offset, self.ctx.depth_func, self.ctx.point_size = (2.0, 3.0), ">", 3.0
@@ -99,8 +114,8 @@ class Caller:
             sampler.use(unit)
         self.gl("glActiveTexture", 0x84C0 + 8)
 
-    def state(self) -> dict[str, list[float]]:
-        state = {name: self._get("glGetDoublev", [enum]) for name, enum in READ.items()}
+    def state(self) -> dict[str, Any]:
+        state: dict[str, Any] = {name: self._get("glGetDoublev", [enum]) for name, enum in READ.items()}
         state |= {f"switch {enum:#x}": self.gl("glIsEnabled", enum) for enum in ODD_SWITCHES + SWITCHED_OFF}
         for name, enum in READ_PER_BUFFER.items():
             state[name] = [self._get("glGetIntegeri_v", [enum, index], ctypes.c_int) for index in range(8)]
@@ -130,10 +145,10 @@ class Caller:
     def draw(self) -> list[bytes]:
         """Its own picture over the last, with the state, bindings and framebuffer that it finds."""
         self.mesh.render()
-        return [attachment.read() for attachment in self.framebuffer.color_attachments]
+        return [narrowed(attachment, moderngl.Texture).read() for attachment in self.framebuffer.color_attachments]
 
 
-def assert_same(after: Mapping[str, list[float]], before: Mapping[str, list[float]]) -> None:
+def assert_same(after: Mapping[str, object], before: Mapping[str, object]) -> None:
     assert {name: value for name, value in after.items() if value != before[name]} == {}
 
 

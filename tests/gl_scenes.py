@@ -1,10 +1,10 @@
 """Small scenes whose pictures are known in closed form, and the shipped ones, read once."""
 
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
@@ -26,7 +26,7 @@ def view(
     return View(camera, np.array(viewpoint, float), np.eye(4) if world_from_device is None else world_from_device)
 
 
-def quad(low: ArrayLike, high: ArrayLike, z: float = 0.0, **material: Any) -> Mesh:
+def quad(low: Iterable[float], high: Iterable[float], z: float = 0.0, **material: Any) -> Mesh:
     """A rectangle facing +z; uv (0, 0) at its upper left corner."""
     (x0, y0), (x1, y1) = low, high
     position = np.array([[x0, y1, z], [x1, y1, z], [x1, y0, z], [x0, y0, z]], np.float32)

@@ -58,11 +58,11 @@ class LeftHalf:
 
     whole: Any
 
-    def __getattr__(self, name: str) -> Panel:
+    def __getattr__(self, name: str) -> Any:
         return getattr(self.whole, name)
 
     def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
-        found = self.whole.view_dir_of_pixel(pixel, viewpoint)
+        found: QueryResult = self.whole.view_dir_of_pixel(pixel, viewpoint)
         is_dark = np.broadcast_to(np.asarray(pixel)[..., 0] > 0.5 * self.whole.panel.width_px, found.status.shape)
         value = np.where(is_dark[..., None], np.nan, found.value)
         return replace(found, value=value, status=np.where(is_dark, Status.MISS, found.status).astype(np.uint8))

@@ -55,20 +55,21 @@ NEED_EGL = {"07_plug_into_pyrender", "08_real_time"}
 PIXELS = {"freeform40": ("[1920, 1080]", "[480, 270]"), "northstar": ("[1440, 1600]", "[180, 200]")}
 
 
-def low_degrees(patch, folder: object) -> None:
+def low_degrees(patch: pytest.MonkeyPatch, folder: object) -> None:
     """A quarter of the directions at each camera position, and models of lower degrees."""
-    patch.setitem(wlr.simulate.__kwdefaults__, "grid", (13, 11))
+    patch.setitem(present(wlr.simulate.__kwdefaults__), "grid", (13, 11))
     patch.setattr(wlr, "calibrate", partial(wlr.calibrate, display_degree=5, see_through_degree=4))
 
 
-def few_readings(patch, folder: object) -> None:
+def few_readings(patch: pytest.MonkeyPatch, folder: object) -> None:
     """A third of the captures of a session, and few causes."""
     load_session = wlr.load_session
 
-    def third_of_session(path) -> tuple[Bench, Session]:
+    def third_of_session(path: str | Path) -> tuple[Bench, Session]:
         bench, session = load_session(path)
-        rows = [np.flatnonzero(present(part).capture % 3 == 0) for part in session.plan.parts[:2]]
-        plan = SessionPlan(*(select_rows(part, kept) for part, kept in zip(session.plan.parts, rows, strict=False)))
+        display, see_through = present(session.plan.display), present(session.plan.see_through)
+        rows = [np.flatnonzero(part.capture % 3 == 0) for part in (display, see_through)]
+        plan = SessionPlan(select_rows(display, rows[0]), select_rows(see_through, rows[1]))
         readings = Readings(*(present(part)[kept] for part, kept in zip(session.readings.parts, rows, strict=False)))
         return bench, Session(session.name, plan, readings)
 
@@ -77,7 +78,7 @@ def few_readings(patch, folder: object) -> None:
     patch.setattr(wlr, "diagnose", partial(wlr.diagnose, causes=causes))
 
 
-def small_panels(patch, folder: Path) -> None:
+def small_panels(patch: pytest.MonkeyPatch, folder: Path) -> None:
     """A fraction of the panel's pixels."""
     paths = {name: changed_device(folder, name, change) for name, change in PIXELS.items()}
     patch.setattr(wlr, "open_eye", lambda device, eye="right": open_eye(paths[device], eye))

@@ -18,20 +18,21 @@ WORDS = {
     "02_diagnose_a_bench": ["Explained: printed size of the target", "[target] scale = [0.997"],
     "03_error_budget": ["arcmin rms at 1 m", "Improve this first: head tracker: noise"],
 }
+NBFORMAT: Any = nbformat  # has no types
 CODE_OR_LINK = re.compile(r"`[^`]*`|\]\([^)]*\)")
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
-def read(path: Path):
-    return nbformat.read(path, as_version=4)
+def read(path: Path) -> Any:
+    return NBFORMAT.read(path, as_version=4)
 
 
-def stated_numbers(notebook: dict[str, Any]) -> set[Any]:
+def stated_numbers(notebook: Any) -> set[Any]:
     text = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
     return set(NUMBER.findall(CODE_OR_LINK.sub("", text)))
 
 
-def shown(notebook: dict[str, Any]) -> tuple[str, int]:
+def shown(notebook: Any) -> tuple[str, int]:
     """Text and pictures that the cells of a notebook show."""
     texts, pictures = [], 0
     for output in (output for cell in notebook.cells for output in cell.get("outputs", [])):
@@ -72,5 +73,5 @@ def test_every_notebook_is_tested() -> None:
 
 
 def test_numbers_in_prose_are_found_but_not_those_of_code_and_links() -> None:
-    cell = nbformat.v4.new_markdown_cell("It is 0.25 in 16 of `case 3`, [here](02_b.ipynb).")
-    assert stated_numbers(nbformat.v4.new_notebook(cells=[cell])) == {"0.25", "16"}
+    cell = NBFORMAT.v4.new_markdown_cell("It is 0.25 in 16 of `case 3`, [here](02_b.ipynb).")
+    assert stated_numbers(NBFORMAT.v4.new_notebook(cells=[cell])) == {"0.25", "16"}

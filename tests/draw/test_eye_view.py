@@ -2,11 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
+from flat_image import FlatImage
 from gl_scenes import at, lit, unlit
 from numpy.typing import NDArray
+from present import narrowed
+from toy_headsets import LateralOffset
 
 from wlr_render.draw.painters import TracedPainter
 from wlr_render.draw.ray_tracing import EyeView, RayRenderer, eye_view
@@ -14,7 +18,7 @@ from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.io.atomic_files import resource
 from wlr_render.io.toml_files import read_toml
-from wlr_render.mappings import Eye, Panel, QueryResult, Status
+from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult, Status
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.srgb import decode_srgb
 from wlr_render.optics.device_file import load_device
@@ -40,7 +44,8 @@ def small_device(folder: Path, name: str) -> Eye:
 def headset(request: pytest.FixtureRequest, flat_image_headset: Eye, tmp_path: Path) -> Eye:
     if request.param in ("no_optics", "flat_mirror"):
         return small_device(tmp_path, request.param)
-    return replace(flat_image_headset, display=replace(flat_image_headset.display, panel=Panel(420, 300)))
+    display = narrowed(flat_image_headset.display, FlatImage)
+    return replace(flat_image_headset, display=replace(display, panel=Panel(420, 300)))
 
 
 def ball_and_board() -> Scene:
@@ -132,8 +137,8 @@ def test_beside_the_panel_there_is_only_the_world() -> None:
 
 
 def test_where_the_eye_sees_no_world_it_is_dark(toy_headset: Eye) -> None:
-    blocked = replace(toy_headset.see_through, offset_m=np.nan)
-    headset = replace(toy_headset, see_through=blocked, display=_Unseen())
+    blocked = replace(narrowed(toy_headset.see_through, LateralOffset), offset_m=np.nan)
+    headset = replace(toy_headset, see_through=blocked, display=cast(DisplayMapping, _Unseen()))
     scene = unlit((construction.plane(9, 9), at(0, 0, -1)))
     camera = Pinhole(3, 2, -np.ones(2), np.ones(2))
     seen = eye_view(headset, RayRenderer(scene), headset.eye_box.centre, np.eye(4), camera)

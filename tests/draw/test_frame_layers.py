@@ -8,7 +8,7 @@ from gl_scenes import at, cube, lit, quad, unlit
 from numpy.typing import NDArray
 from present import present
 
-from wlr_render.draw.frame_layers import INSTANCE, LAYERS, frame_layers
+from wlr_render.draw.frame_layers import INSTANCE, LAYERS, Layer, frame_layers
 from wlr_render.draw.painters import TracedPainter
 from wlr_render.draw.raster_painter import WarpedPainter
 from wlr_render.draw.ray_tracing import RayRenderer
@@ -31,7 +31,7 @@ def vectors(channels: Mapping[str, Float32Array | NDArray[np.uint32]], name: str
 
 
 def layers_of(
-    headset: Eye, scene: Scene, viewpoint: FloatArray, layers: tuple[str, ...] = LAYERS
+    headset: Eye, scene: Scene, viewpoint: FloatArray, layers: tuple[Layer, ...] = LAYERS
 ) -> dict[str, Float32Array | NDArray[np.uint32]]:
     rays_of_pixels = ray_map(headset, viewpoint, choose_plan(headset))
     return frame_layers(RayRenderer(scene), rays_of_pixels, HEAD_POSE, layers)

@@ -3,7 +3,7 @@
 import ctypes.util
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from gl_scenes import at, quad, shipped_scene, unlit
 from glb_writer import save_glb
-from present import present
+from present import narrowed, present
+from toy_headsets import LateralOffset
 
 from wlr_render.draw import mitsuba_frames
 from wlr_render.draw.mitsuba_frames import PathTracedPainter, PathTracer
@@ -81,7 +82,7 @@ def test_a_plane_under_the_sky_reflects_all_of_the_ambient_light(mitsuba: Module
     direction = np.tile(np.array([[0, 0, -1], [0, 0, 1], [0, np.nan, -1]], np.float32), (20_000, 1))
     light = PathTracer(scene).light(np.zeros(3, np.float32), direction, 5).reshape(-1, 3, 3)
     np.testing.assert_allclose(light[:, 0].mean(axis=0), albedo, rtol=0.01)
-    np.testing.assert_array_equal(light[:, 1:], np.broadcast_to(np.float32(background), (20_000, 2, 3)))
+    np.testing.assert_array_equal(light[:, 1:], np.broadcast_to(np.array(background, np.float32), (20_000, 2, 3)))
 
 
 @pytest.mark.slow
@@ -184,11 +185,16 @@ def test_many_paths_supersample_edges_and_converge(mitsuba: ModuleType, toy_head
 
 def test_each_colour_has_rays_of_its_own_and_frames_repeat(mitsuba: ModuleType, toy_headset: Eye) -> None:
     scene, viewpoint = scene_with_a_ball(), toy_headset.eye_box.centre
-    moved = replace(toy_headset, see_through=replace(toy_headset.see_through, prism=0.02))
+    moved = replace(toy_headset, see_through=replace(narrowed(toy_headset.see_through, LateralOffset), prism=0.02))
     tracer = PathTracer(scene)
+    eyes: dict[str, Eye | Sequence[Eye]] = {
+        "own": (toy_headset, toy_headset, moved),
+        "first": toy_headset,
+        "moved": moved,
+    }
     frames = {
         name: PathTracedPainter(headsets, tracer, 2, (7, 1)).paint(viewpoint, np.eye(4), with_geometry=True)
-        for name, headsets in {"own": (toy_headset, toy_headset, moved), "first": toy_headset, "moved": moved}.items()
+        for name, headsets in eyes.items()
     }
     np.testing.assert_array_equal(frames["own"].colour[..., :2], frames["first"].colour[..., :2])
     np.testing.assert_array_equal(frames["own"].colour[..., 2], frames["moved"].colour[..., 2])

@@ -132,7 +132,8 @@ def test_no_ray_slips_through_an_edge() -> None:
     position = np.concatenate([ring, [[0.1, 0.2, 0.9], [0.0, -0.1, -0.8]]]).astype(np.float32)
     here, there = np.arange(400), (np.arange(400) + 1) % 400
     sides = [np.stack([here, there, np.full(400, tip)], axis=1) for tip in (400, 401)]
-    tent = Mesh("tent", position, directions.normalised(position), np.concatenate(sides).astype(np.uint32))
+    normal = directions.normalised(position.astype(float)).astype(np.float32)
+    tent = Mesh("tent", position, normal, np.concatenate(sides).astype(np.uint32))
     aim = [position[here] + position[there]] + [position[here] + position[tip] for tip in (400, 401)]
     hits = SceneTracer(unlit((tent, np.eye(4)))).intersect(np.zeros(3), np.concatenate(aim))
     assert (hits.instance == 0).all()

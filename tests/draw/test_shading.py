@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from gl_scenes import at, cube, quad, unlit
 from numpy.typing import ArrayLike, NDArray
+from present import present
 
 from wlr_render.draw.ray_intersections import SceneTracer
 from wlr_render.draw.shading import Shaded, Surfaces, shade
@@ -31,10 +32,10 @@ def shaded(
 ) -> Shaded:
     """Shading of rays (n, 3)."""
     direction = np.atleast_2d(np.asarray(direction, np.float32))
-    origin = np.broadcast_to(np.asarray(origin, np.float32), direction.shape)
+    origins = np.broadcast_to(np.asarray(origin, np.float32), direction.shape)
     tracer = SceneTracer(scene)
-    hits = tracer.intersect(origin, direction)
-    return shade(scene, Surfaces.of(scene), hits, origin, direction, tracer if shadows else None)
+    hits = tracer.intersect(origins, direction)
+    return shade(scene, Surfaces.of(scene), hits, origins, direction, tracer if shadows else None)
 
 
 def colour_seen(scene: Scene, direction: ArrayLike = FORWARDS, **how: Any) -> Float32Array:
@@ -126,7 +127,8 @@ def bilinear_texture(texture: NDArray[np.uint8], uv: FloatArray) -> FloatArray:
 def test_texture_repeats_and_is_mixed_in_linear_light() -> None:
     texture = picture()
     wall = quad((-1, -1), (1, 1))
-    wall = Mesh("wall", wall.position, wall.normal, wall.triangles, uv=wall.uv * 3 - 1.3, texture=texture)
+    uv_3_times = (present(wall.uv) * 3 - 1.3).astype(np.float32)
+    wall = Mesh("wall", wall.position, wall.normal, wall.triangles, uv=uv_3_times, texture=texture)
     xy = np.random.default_rng(5).uniform(-0.99, 0.99, (200, 2))
     seen = colour_seen(scene_of((wall, at(0, 0, -1)), ambient=1.0), np.column_stack([xy, -np.ones(200)]))
     uv = np.stack([(xy[:, 0] + 1) / 2, (1 - xy[:, 1]) / 2], axis=1) * 3 - 1.3
@@ -139,7 +141,7 @@ def test_each_instance_has_the_material_of_its_mesh() -> None:
     )
     other = quad((-1, -1), (1, 1), texture=np.full((5, 3, 3), 99, np.uint8))
     plain = quad((-1, -1), (1, 1), base_colour=np.array([0.1, 0.2, 0.3], np.float32))
-    coloured = quad((-1, -1), (1, 1), vertex_colour=np.float32([[1, 0, 0]] * 4))
+    coloured = quad((-1, -1), (1, 1), vertex_colour=np.array([[1, 0, 0]] * 4, np.float32))
     row = (textured, other, plain, coloured, textured)
     scene = scene_of(*[(mesh, at(3.0 * k, 0, -2)) for k, mesh in enumerate(row)], ambient=1.0)
     seen = colour_seen(scene, [[3.0 * k + 0.2, 0.1, -2] for k in range(5)])

@@ -5,8 +5,10 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from present import present
 
-from benchmarks.exports.readers import drawn_by_ffmpeg, our_warp, smooth_picture
+from benchmarks.exports.readers import drawn_by_ffmpeg, smooth_picture
+from wlr_render.draw.sampling import remap
 from wlr_render.exports.export_view import ExportedView
 from wlr_render.exports.pixel_maps import FFMPEG_NO_RAY, Ffmpeg
 
@@ -22,7 +24,7 @@ def nearest(picture: NDArray[np.uint8], view: ExportedView, colour: str) -> NDAr
 
 def test_pair_names_whole_pixels(view: ExportedView, tmp_path: Path) -> None:
     across, down, _ = Ffmpeg().write([view], tmp_path)
-    column_row = np.stack([cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in (across, down)], axis=-1)
+    column_row = np.stack([present(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)) for path in (across, down)], axis=-1)
     assert column_row.dtype == np.uint16
     assert across.read_bytes()[:2] == b"P5"
     off_px = np.abs(column_row + 0.5 - view.source_px("all"))
@@ -46,7 +48,7 @@ def test_ffmpeg_draws_the_nearest_pixels_bit_for_bit(holed_view: ExportedView, t
     expected = nearest(picture, holed_view, "all")
     expected[5, 7] = 0
     np.testing.assert_array_equal(drawn, expected)
-    assert not np.array_equal(our_warp(picture, holed_view)[0], expected)  # which interpolates
+    assert not np.array_equal(remap(picture, holed_view.source_px("all"))[0], expected)  # which interpolates
 
 
 @needs_ffmpeg

@@ -3,7 +3,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from wlr_render.exports.mrcal import Mrcal
 from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.raster_camera import RasterPlace
 
 
 def written(view: "Damaged | ExportedView", folder: Path) -> Path:
@@ -38,7 +39,7 @@ def rms(difference: FloatArray) -> float:
     ],
 )
 def test_mrcal_projects_points_to_the_pixels_that_show_them(
-    device: str, axes: str, camera: str, depth_m: float | None, tmp_path: Path
+    device: str, axes: Literal["field", "device"], camera: RasterPlace, depth_m: float | None, tmp_path: Path
 ) -> None:
     if not has_mrcal():
         pytest.skip("mrcal is not installed: apt-get install python3-mrcal")
@@ -91,6 +92,8 @@ def test_comments_state_the_error_and_the_loss(view: ExportedView, tmp_path: Pat
 
 class Damaged(ExportedView):
     """A view whose rays are changed by `damage`."""
+
+    damage: Callable[..., Any]
 
     def rays_at(self, colour: str, pixel: FloatArray, viewpoint: FloatArray | None = None) -> FloatArray:
         return np.asarray(self.damage(super().rays_at(colour, pixel, viewpoint), pixel))

@@ -60,7 +60,8 @@ def test_all_state_is_found_again_after_each_kind_of_block(caller: Caller, is_od
     assert_same(caller.state(), before)
     with context.drawing(third_party=True) as ctx, context.drawing():
         ctx.enable(moderngl.BLEND)
-        ctx.blend_func, ctx.blend_equation = (moderngl.ONE, moderngl.ONE), moderngl.MAX
+        largest: Any = moderngl.MAX  # ModernGL's stubs know pairs of equations only
+        ctx.blend_func, ctx.blend_equation = (moderngl.ONE, moderngl.ONE), largest
         ctx.front_face, ctx.cull_face, ctx.point_size, ctx.depth_func = "ccw", "back", 2.0, "<"
     assert_same(caller.state(), before)
     context.release()

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import gl_scenes
-import moderngl
 import numpy as np
 import pytest
-from gl_caller import Caller, assert_same
+from gl_caller import Caller, Number, assert_same, make_current, open_other
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.errors import BadInputError
@@ -43,7 +42,7 @@ def name_of(caller: Caller, kind: str) -> int:
 
 def result_of(caller: Caller, query: int) -> int:
     number = (ctypes.c_uint * 1)()
-    types = [ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p]
+    types: list[Number] = [ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p]
     caller.gl("glGetQueryObjectuiv", query, QUERY_RESULT, ctypes.addressof(number), types=types)
     return number[0]
 
@@ -91,7 +90,7 @@ def test_transform_feedback_is_paused_and_goes_on(caller: Caller, raster: GlRast
     good = raster.draw(gl_scenes.view())
     program = caller.ctx.program(
         vertex_shader="#version 410\nin vec2 at; out vec2 kept; void main() { kept = at; gl_Position = vec4(0); }",
-        varyings=["kept"],
+        varyings=("kept",),
     )
     points = caller.ctx.vertex_array(program, [(caller.ctx.buffer(np.array([1, 2, 3, 4], np.float32)), "2f4", "at")])
     buffer = caller.ctx.buffer(reserve=64)
@@ -125,7 +124,7 @@ def test_a_pending_error_is_reported_once(caller: Caller, raster: GlRaster) -> N
 
 
 def test_a_new_context_at_the_address_of_the_old_one_is_refused(caller: Caller, adopted: Any, raster: GlRaster) -> None:
-    other = moderngl.create_context(standalone=True, require=410, backend="egl")
+    other = open_other(410)
     current = vars(adopted)["_current"]
     address = current._native
     try:
@@ -143,4 +142,4 @@ def test_a_new_context_at_the_address_of_the_old_one_is_refused(caller: Caller, 
     finally:
         current._native = address
         other.release()
-        caller.ctx.__enter__()
+        make_current(caller.ctx)

@@ -11,6 +11,9 @@ from present import present
 from wlr_render.errors import BadInputError
 from wlr_render.scene import image_files
 
+FLOATS: Any = [np.zeros((32, 48, 3))]  # no pictures to the functions
+NOTHING: Any = None
+
 
 def test_png_keeps_red_red(tmp_path: Path) -> None:
     image = np.zeros((4, 6, 3), np.uint8)
@@ -64,16 +67,16 @@ def test_a_browser_plays_the_video(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("write", "name"),
     [
-        (lambda path: image_files.write_png(path, np.zeros((4, 6, 3))), "a.png"),
+        (lambda path: image_files.write_png(path, FLOATS[0]), "a.png"),
         (lambda path: image_files.write_png(path, np.zeros((4, 6, 4), np.uint8)), "a.png"),
         (lambda path: image_files.write_png(path, np.zeros((0, 6, 3), np.uint8)), "a.png"),
-        (lambda path: image_files.write_png(path, None), "a.png"),
+        (lambda path: image_files.write_png(path, NOTHING), "a.png"),
         (lambda path: image_files.write_map(path, np.zeros((4, 6), np.float32)), "a.tiff"),
         (lambda path: image_files.write_map(path, np.zeros((4, 6, 3), complex)), "a.tiff"),
         (lambda path: image_files.write_video(path, [np.zeros((32, 48, 3), np.uint8)], 0.0), "a.mp4"),
         (lambda path: image_files.write_video(path, [np.zeros((32, 48, 3), np.uint8)], np.nan), "a.mp4"),
         (lambda path: image_files.write_video(path, [np.zeros((n, 48, 3), np.uint8) for n in (32, 16)], 9.0), "a.mp4"),
-        (lambda path: image_files.write_video(path, [np.zeros((32, 48, 3))], 9.0), "a.mp4"),
+        (lambda path: image_files.write_video(path, FLOATS, 9.0), "a.mp4"),
     ],
 )
 def test_what_opencv_would_convert_or_crash_on_is_refused(tmp_path: Path, write: Callable[..., Any], name: str) -> None:

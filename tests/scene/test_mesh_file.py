@@ -17,7 +17,6 @@ from present import present
 
 from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import InputLimits, outside_references
-from wlr_render.numerics.arrays import IntArray
 from wlr_render.scene import gltf_document
 from wlr_render.scene.mesh_file import MeshFile, load_meshes
 from wlr_render.scene.scene import Instance, LightSource, Mesh, Scene, world_positions
@@ -42,12 +41,8 @@ def png(image: NDArray[np.uint8]) -> bytes:
 
 def gltf(
     folder: Path,
-    positions: tuple[tuple[int, int, int], tuple[int, int, int], tuple[int, int, int]] = (
-        (0, 0, 0),
-        (1, 0, 0),
-        (0, 1, 0),
-    ),
-    indices: tuple[int, int, int] = (0, 1, 2),
+    positions: Sequence[Sequence[float]] = ((0, 0, 0), (1, 0, 0), (0, 1, 0)),
+    indices: Sequence[int] = (0, 1, 2),
     **changes: Any,
 ) -> Path:
     """One triangle as glTF; uv (0, 0), (1, 0), (0, 1); `changes` replace or add top-level keys."""
@@ -116,7 +111,8 @@ def nearest_texel(mesh: Mesh, vertex_position: Sequence[Any]) -> list[int]:
     assert mesh.texture is not None
     height, width = mesh.texture.shape[:2]
     u, v = np.clip(present(mesh.uv)[vertex], 0.01, 0.99)
-    return mesh.texture[int(v * height), int(u * width)].tolist()
+    texel: list[int] = mesh.texture[int(v * height), int(u * width)].tolist()
+    return texel
 
 
 @pytest.fixture
@@ -338,7 +334,7 @@ def moved_corner(indices: Sequence[Any]) -> dict[Any, Any]:
     }
 
 
-def binary_ply(folder: Path, corners: tuple[int, ...]):
+def binary_ply(folder: Path, corners: tuple[int, ...]) -> Path:
     """A PLY of one triangle, whose faces say that they have so many corners."""
     header = ply(folder).read_bytes().partition(b"end_header\n")[0].replace(b"ascii", b"binary_little_endian")
     header = re.sub(rb"property uchar \w+\n", b"", header).replace(b"face 1", b"face %d" % len(corners))
@@ -348,7 +344,7 @@ def binary_ply(folder: Path, corners: tuple[int, ...]):
     return path
 
 
-def changed(path: Path, old: int, new: int) -> Path:
+def changed(path: Path, old: bytes, new: bytes) -> Path:
     content = path.read_bytes()
     assert old in content
     path.write_bytes(content.replace(old, new))
@@ -390,7 +386,7 @@ BOMB = "data:image/png;base64," + base64.b64encode(bomb()).decode()
 SPOT = {"KHR_lights_punctual": {"lights": [{"type": "spot"}]}}
 SPOT_NODES = [{"mesh": 0, "name": "bulb", "extensions": {"KHR_lights_punctual": {"light": 0}}}]
 PICTURE = "data:image/png;base64," + base64.b64encode(png(CORNERS)).decode()
-MATT = [{}]
+MATT: list[dict[str, Any]] = [{}]
 TEXTURED: dict[str, Any] = {
     "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
     "textures": [{"source": 0}],
@@ -742,9 +738,9 @@ def test_sparse_positions_replace_stored_ones(tmp_path: Path) -> None:
 def typed(
     folder: Path,
     position: NDArray[Any],
-    normal: IntArray,
+    normal: NDArray[np.integer],
     colour: NDArray[Any],
-    extensions: tuple[str] = ("KHR_mesh_quantization",),
+    extensions: Sequence[str] = ("KHR_mesh_quantization",),
     **flags: Any,
 ) -> Path:
     """A triangle with attributes of any type, interleaved in rows of 4-byte steps, beside a texture of coordinates."""
@@ -778,7 +774,7 @@ def test_quantised_and_interleaved_attributes_are_read(
     tmp_path: Path, position: type[integer], scale: float, normalised: bool, colour: type[number]
 ) -> None:
     corners = np.array([[0, 0, 0], [100, 0, 0], [0, 50, 0]], position)
-    white = 1 if colour is np.float32 else np.iinfo(colour).max
+    white = np.iinfo(colour).max if issubclass(colour, integer) else 1
     colours = (np.array([[1, 0.5, 0, 1]] * 3) * white).astype(colour)
     normals = np.array([[0, 0, 127]] * 3, np.int8)
     mesh = load_meshes(typed(tmp_path, corners, normals, colours, POSITION=normalised)).meshes[0]
@@ -827,7 +823,7 @@ def test_only_the_stated_scene_is_drawn(tmp_path: Path) -> None:
 def test_a_base_colour_keeps_its_digits(tmp_path: Path) -> None:
     colour = [0.123456, 0.5, 1.0]
     path = gltf(tmp_path, materials=[{"pbrMetallicRoughness": {"baseColorFactor": [*colour, 1]}}])
-    np.testing.assert_array_equal(load_meshes(path).meshes[0].base_colour, np.float32(colour))
+    np.testing.assert_array_equal(load_meshes(path).meshes[0].base_colour, np.array(colour, np.float32))
 
 
 def test_a_picture_that_is_not_drawn_may_be_missing(tmp_path: Path) -> None:
@@ -844,7 +840,7 @@ def test_a_picture_that_is_not_drawn_may_be_missing(tmp_path: Path) -> None:
     ],
 )
 def test_specular_glossiness_without_textures_has_the_equivalent_base_colour(
-    tmp_path: Path, diffuse, specular, expected
+    tmp_path: Path, diffuse: list[float], specular: list[float], expected: list[float]
 ) -> None:
     glossy = {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [*diffuse, 1], "specularFactor": specular}}
     mesh = load_meshes(gltf(tmp_path, materials=[{"extensions": glossy}])).meshes[0]
