@@ -57,8 +57,10 @@ def assert_same_diagnosis(found: Diagnosis, expected: Diagnosis) -> None:
         for p, q in zip(a.parameters, b.parameters, strict=True):
             assert (p.value, p.sigma) == pytest.approx((q.value, q.sigma), rel=1e-4)
     for part in ("before", "after"):
-        a, b = ({k: v for k, v in vars(getattr(each, part)).items() if v is not None} for each in (found, expected))
-        assert a == pytest.approx(b, rel=1e-6)
+        one, other = (
+            {k: v for k, v in vars(getattr(each, part)).items() if v is not None} for each in (found, expected)
+        )
+        assert one == pytest.approx(other, rel=1e-6)
 
 
 @pytest.mark.slow
@@ -106,11 +108,11 @@ def test_the_bench_of_captures_predicts_what_exact_captures_hold(tmp_path: Path)
     positions = setup.camera_positions("volumetric", 6)
     display, see_through = simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng)
     for turned in (None, np.eye(3), rotation_about("y", 0.2), _by_capture(display.capture, see_through.capture)):
-        parts = (display, see_through)
+        shown, seen = display, see_through
         if turned is not None:
-            each = turned if isinstance(turned, tuple) else (turned, turned)
-            parts = [replace(part, device_from_camera=rotation) for part, rotation in zip(parts, each, strict=True)]
-        path = Captures(*parts).save(tmp_path / "captures-right.npz")
+            one, other = turned if isinstance(turned, tuple) else (turned, turned)
+            shown, seen = replace(shown, device_from_camera=one), replace(seen, device_from_camera=other)
+        path = Captures(shown, seen).save(tmp_path / "captures-right.npz")
         bench, session = load_measurements(path)
         predicted = simulate(bench, session.plan)
         assert predicted.panel_pixel is not None
@@ -123,10 +125,10 @@ def test_the_bench_of_captures_predicts_what_exact_captures_hold(tmp_path: Path)
         np.testing.assert_allclose(present(predicted.dot_pixel), present(again.readings.dot_pixel), atol=1e-6)
 
 
-def _by_capture(*captures: IntArray) -> tuple[FloatArray, FloatArray]:
+def _by_capture(first: IntArray, second: IntArray) -> tuple[FloatArray, FloatArray]:
     """A rotation of the camera for each row, one for each camera position."""
     turns = np.stack([rotation_about("x", angle) for angle in np.linspace(-0.1, 0.1, 6)])
-    return tuple(turns[each] for each in captures)
+    return turns[first], turns[second]
 
 
 def test_targets_that_are_not_flat_keep_their_shape(repeated: Path, tmp_path: Path) -> None:
@@ -140,7 +142,7 @@ def test_targets_that_are_not_flat_keep_their_shape(repeated: Path, tmp_path: Pa
         plan = session.plan.see_through
         assert plan is not None
         assert present(plan.height).std() > 3e-4
-        at = np.column_stack([plan.dot, plan.height])
+        at = np.column_stack([plan.dot, present(plan.height)])
         pose = bench.target.device_from_target[plan.target_pose]
         np.testing.assert_allclose(np.einsum("nij,nj->ni", pose[:, :3, :3], at) + pose[:, :3, 3], lifted, atol=1e-12)
         if target_point is own:

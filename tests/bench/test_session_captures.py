@@ -169,7 +169,9 @@ def test_observations_of_another_eye_or_beside_the_targets_are_refused(bench: Be
         with pytest.raises(BadInputError, match=words):
             session_of(moved, table, "night")
     behind = replace(bench, camera=replace(bench.camera, device_from_camera=np.diag([-1.0, 1.0, -1.0])))
-    unrecorded = Captures(*(replace(part, device_from_camera=np.full((3, 3), np.nan)) for part in table.both))
+    shown, seen = table.both
+    nowhere = np.full((3, 3), np.nan)
+    unrecorded = Captures(replace(shown, device_from_camera=nowhere), replace(seen, device_from_camera=nowhere))
     with pytest.raises(BadInputError, match="the camera looks back"):
         session_of(behind, unrecorded, "night")
 

@@ -113,9 +113,9 @@ def test_a_loaded_bench_predicts_what_was_saved(tmp_path: Path, bench: Bench, se
 def test_run_time_pixels_are_written_as_measured_whatever_camera_is_saved_with_them(
     tmp_path: Path, bench: Bench, session: Session
 ) -> None:
-    rows = np.isfinite(present(session.readings.run_time_pixel)).all(axis=1)
+    rows = np.asarray(np.isfinite(present(session.readings.run_time_pixel)).all(axis=1))
     measured = np.random.default_rng(3).uniform(100, 1100, (rows.sum(), 4)).round(3)
-    plan = SessionPlan(run_time=select_rows(session.plan.run_time, rows))
+    plan = SessionPlan(run_time=select_rows(present(session.plan.run_time), rows))
     save_session(tmp_path / "measured", bench, Session("night", plan, Readings(run_time_pixel=measured)))
     read = load_session(tmp_path / "measured")[1]
     np.testing.assert_array_equal(read.readings.run_time_pixel, measured)

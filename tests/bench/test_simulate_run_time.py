@@ -42,13 +42,12 @@ def plan_for(
     in_device = middle + depth_m * np.column_stack([sight, -np.ones(ROWS)])
     head = rigid(rotations_of_vectors(rng.normal(0, 1, (ROWS, 3))), rng.normal(0, 1, (ROWS, 3)))
     dot = np.einsum("nij,nj->ni", head[:, :3, :3], in_device) + head[:, :3, 3]
-    velocity, rate = head[:, :3, :3] @ velocity, head[:, :3, :3] @ rate
     return RunTimePlan(
         np.arange(ROWS),
         np.asarray(0.1 * np.arange(ROWS)),
         head,
-        np.array(velocity),
-        np.array(rate),
+        head[:, :3, :3] @ velocity,
+        head[:, :3, :3] @ rate,
         viewpoint,
         dir_of_tangents(sight),
         dot,

@@ -75,6 +75,10 @@ def dots(bench: Bench, plan: SeeThroughPlan) -> FloatArray:
     return present(simulate(bench, SessionPlan(see_through=plan)).dot_pixel)
 
 
+def read(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
+    return panel(bench, plan) if isinstance(plan, DisplayPlan) else dots(bench, plan)
+
+
 def projected(point: FloatArray, camera_position: FloatArray, device_from_camera: FloatArray) -> FloatArray:
     """The textbook's pinhole with v down: camera pixels (n, 2) of points (n, 3)."""
     x, y, z = ((point - camera_position) @ device_from_camera).T
@@ -191,7 +195,7 @@ class TestCameraAndStage:
     def test_backlash_is_added_to_x_by_the_direction_of_the_last_move(self) -> None:
         bench = bench_with("no_optics")
         wrong = replace(bench, stage=replace(bench.stage, backlash=np.array([1e-4, -3e-4])))
-        for plan, read in ((display_plan(bench), panel), (see_through_plan(bench), dots)):
+        for plan in (display_plan(bench), see_through_plan(bench)):
             shift = np.where(plan.travel > 0, 1e-4, -3e-4)[:, None] * [1.0, 0.0, 0.0]
             np.testing.assert_allclose(read(wrong, plan), read(bench, replace(plan, stage=plan.stage + shift)))
 
@@ -203,7 +207,7 @@ class TestMount:
         slip = np.array([5e-4, -2e-4, 3e-4])
         slipped = replace(bench, mount=Mount(slip_time_s=300.0, slip=slip, slip_rotation=turn))
         moved = with_camera(bench, pupil_offset=slip, device_from_camera=rotations_of_vectors(turn))
-        for plan, read in ((display_plan(bench), panel), (see_through_plan(bench), dots)):
+        for plan in (display_plan(bench), see_through_plan(bench)):
             late = plan.time_s >= 300.0
             assert late[30]
             assert not late[29]
@@ -216,7 +220,7 @@ class TestMount:
         turn = np.array([0.02, -0.03, 0.05])
         slipped = replace(bench, mount=Mount(slip_time_s=0.0, slip_rotation=turn))
         moved = with_camera(bench, device_from_camera=rotations_of_vectors(turn) @ turned)
-        for plan, read in ((display_plan(bench), panel), (see_through_plan(bench), dots)):
+        for plan in (display_plan(bench), see_through_plan(bench)):
             np.testing.assert_allclose(read(slipped, plan), read(moved, plan), atol=1e-9)
 
     def test_a_creep_ends_where_a_panel_that_is_moved_stands(self) -> None:
