@@ -42,14 +42,14 @@ SEE_THROUGH = SeeThroughCaptures(
     point=VIEW_DIR * 2,
     capture=np.arange(20) // 4,
     target_pose=np.arange(20) % 2,
-    sigma_arcmin=0.0,
+    sigma_arcmin=np.asarray(0.0),
 )
 RECORDED = dataclasses.replace(
     DISPLAY,
     visit=np.arange(20) // 4,
     channel=np.arange(20) % 3,
-    time_s=40.0 * (np.arange(20) // 4),
-    travel=1.0,
+    time_s=np.asarray(40.0 * (np.arange(20) // 4)),
+    travel=np.asarray(1.0),
     stage=RNG.normal(0, 0.01, (20, 2)),
 )
 
@@ -60,7 +60,8 @@ WITH_MOTION = Captures(dataclasses.replace(DISPLAY, motion=MOTION), dataclasses.
 def documented_header() -> dict[str, Any]:
     """The header that docs/files.md has to copy."""
     text = (Path(__file__).parents[2] / "docs" / "files.md").read_text()
-    return json.loads(text.partition("```json\n")[2].partition("```")[0])
+    header: dict[str, Any] = json.loads(text.partition("```json\n")[2].partition("```")[0])
+    return header
 
 
 def test_the_documented_header_is_read(tmp_path: Path) -> None:
@@ -85,11 +86,12 @@ def test_the_documented_header_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("scale", "named"), [(1.0, 0), (0.1, 2), (0.0, 2)])
 def test_places_that_span_little_of_the_eye_box_are_named(scale: float, named: int) -> None:
     apart = EYE_BOX.centre + scale * 0.5 * EYE_BOX.size * np.linspace(-1, 1, 20)[:, None]
-    sides = [dataclasses.replace(each, viewpoint=apart, eye_box=EYE_BOX) for each in (DISPLAY, SEE_THROUGH)]
-    warnings = place_warnings(Captures(*sides))
+    shown = dataclasses.replace(DISPLAY, viewpoint=apart, eye_box=EYE_BOX)
+    seen = dataclasses.replace(SEE_THROUGH, viewpoint=apart, eye_box=EYE_BOX)
+    warnings = place_warnings(Captures(shown, seen))
     assert len(warnings) == named
     assert all("span" in warning and "eye box of 10 mm" in warning for warning in warnings)
-    alone = dataclasses.replace(sides[0], capture=np.zeros(20, int))
+    alone = dataclasses.replace(shown, capture=np.zeros(20, int))
     assert place_warnings(Captures(alone, None)) == []
 
 
@@ -158,7 +160,7 @@ def of_version_1(captures: Captures) -> dict[str, NDArray[Any]]:
 
 @pytest.mark.parametrize("captures", [Captures(DISPLAY), Captures(DISPLAY, SEE_THROUGH)], ids=["display", "both"])
 def test_files_of_version_1_are_read(tmp_path: Path, captures: Captures) -> None:
-    np.savez(tmp_path / "eye.npz", **of_version_1(captures))
+    np.savez(tmp_path / "eye.npz", allow_pickle=False, **of_version_1(captures))
     assert_same(load_captures(tmp_path / "eye.npz"), captures)
 
 

@@ -125,8 +125,9 @@ SIZES = np.arange(1.0, 13.0).reshape(2, 6)
     ],
 )
 def test_a_bad_prior_of_motions_is_refused(changes: dict[str, Any], sentence: str) -> None:
+    valid: dict[str, Any] = {"capture": INDEX[1:], "size": SIZES, "log_sigma": 0.1}
     with pytest.raises(BadInputError, match=f"^capture motions: .*{sentence}"):
-        CaptureMotionPrior(**({"capture": INDEX[1:], "size": SIZES, "log_sigma": 0.1} | changes))
+        CaptureMotionPrior(**(valid | changes))
 
 
 def test_every_capture_needs_a_motion() -> None:

@@ -48,7 +48,7 @@ def assert_right(result: Decoded) -> None:
 
 @pytest.mark.parametrize("gap", [None, 0, 4, 9])
 def test_names_of_the_page_that_shows_them_say_it_in_any_order(tmp_path: Path, gap: int | None) -> None:
-    names = [f"{900 - n:03d}_{name.replace(' ', '_')}.png" for n, name in enumerate(NAMES)]
+    names: list[str | None] = [f"{900 - n:03d}_{name.replace(' ', '_')}.png" for n, name in enumerate(NAMES)]
     if gap is not None:
         names[gap] = None
     files, result = decoded(write(tmp_path, names))
@@ -65,7 +65,7 @@ def test_a_gap_in_the_numbers_is_the_missing_picture(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("gaps", [(0,), (-1,), (0, 4)])
 def test_a_set_without_its_first_or_last_number_may_be_any_other(tmp_path: Path, gaps: tuple[int, ...]) -> None:
-    names = [f"{n}.png" for n in range(len(NAMES))]
+    names: list[str | None] = [f"{n}.png" for n in range(len(NAMES))]
     for gap in gaps:
         names[gap] = None
     with pytest.raises(BadInputError, match=r"but the code has 26 pictures.*manifest\.toml"):
@@ -164,7 +164,7 @@ def test_automatic_exposure_within_a_set_is_named(tmp_path: Path) -> None:
 
 
 def test_names_of_another_code_are_refused_though_there_are_as_many(tmp_path: Path) -> None:
-    names = [
+    names: list[str | None] = [
         f"{n:03}_{each.replace(' ', '_')}.png"
         for n, each in enumerate(make_pattern("gray-fringes", Panel(48, 40)).names())
     ]

@@ -105,10 +105,8 @@ def test_copies_of_a_capture_share_its_errors() -> None:
 
 @pytest.mark.parametrize("lens", [LENS, None])
 def test_a_file_keeps_them(tmp_path: Path, lens: Polynomial | None) -> None:
-    shown, seen = (
-        dataclasses.replace(each, common=dataclasses.replace(present(each.common), lens=lens))
-        for each in (DISPLAY, SEE_THROUGH)
-    )
+    shown = dataclasses.replace(DISPLAY, common=dataclasses.replace(present(DISPLAY.common), lens=lens))
+    seen = dataclasses.replace(SEE_THROUGH, common=dataclasses.replace(present(SEE_THROUGH.common), lens=lens))
     read = load_captures(Captures(shown, seen).save(tmp_path / "captures.npz"))
     for before, after in ((shown, read.display), (seen, read.see_through)):
         assert after is not None

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from present import present
+from present import narrowed, present
 
-from wlr_render.captures.boards.board import BoardObservation
+from wlr_render.captures.boards.board import Board, BoardObservation
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_file import board_table, save_board
+from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photo_session import (
@@ -87,16 +88,13 @@ def rotary(folder: Path) -> PhotoSession:
         StageAxis("rotary", np.array([0.0, 1.0, 0.0]), np.radians(1.0), np.array([0.0, 0.001, -0.002])),
         StageAxis("rotary"),
     )
-    turned: dict[str, Any] = readings([0.0, 0.0, 0.0], [0.002, np.radians(20), 0.1], [0.0, np.radians(-20), -0.1])
-    session: dict[str, Any] = three_axes(folder)
-    return replace(
-        session,
-        stage=StageDescription(axes),
-        **{
-            name: tuple(replace(each, stage=stage) for each, stage in zip(getattr(session, name), turned, strict=True))
-            for name in ("bare", "see_through", "display")
-        },
-    )
+    turned = readings([0.0, 0.0, 0.0], [0.002, np.radians(20), 0.1], [0.0, np.radians(-20), -0.1])
+    session = three_axes(folder)
+    moved: dict[str, Any] = {
+        name: tuple(replace(each, stage=stage) for each, stage in zip(getattr(session, name), turned, strict=True))
+        for name in ("bare", "see_through", "display")
+    }
+    return replace(session, stage=StageDescription(axes), **moved)
 
 
 def by_hand(folder: Path) -> PhotoSession:
@@ -235,19 +233,19 @@ BENCHES = (
 )
 
 
-def differences(ours: PhotoSession, theirs: PhotoSession, where: str = "session") -> list[Any]:
+def differences(ours: object, theirs: object, where: str = "session") -> list[str]:
     """Where two values of dataclasses, tables, lists and arrays differ; boards by their files."""
-    if hasattr(ours, "point_of"):
+    if isinstance(ours, Board) and isinstance(theirs, Board):
         return [] if board_table(ours) == board_table(theirs) else [where]
     if is_dataclass(ours) and type(ours) is type(theirs):
         parts = [(each.name, getattr(ours, each.name), getattr(theirs, each.name)) for each in fields(ours)]
         return [line for name, one, other in parts for line in differences(one, other, f"{where}.{name}")]
-    if isinstance(ours, dict) and ours.keys() == theirs.keys():
+    if isinstance(ours, dict) and isinstance(theirs, dict) and ours.keys() == theirs.keys():
         return [line for key in ours for line in differences(ours[key], theirs[key], f"{where}[{key}]")]
     if isinstance(ours, tuple) and isinstance(theirs, tuple) and len(ours) == len(theirs):
         pairs = enumerate(zip(ours, theirs, strict=True))
         return [line for k, (one, other) in pairs for line in differences(one, other, f"{where}[{k}]")]
-    if isinstance(ours, np.ndarray | float) and theirs is not None:
+    if isinstance(ours, np.ndarray | float) and isinstance(theirs, np.ndarray | float):
         close = np.shape(ours) == np.shape(theirs) and np.allclose(ours, theirs, rtol=0, atol=1e-11)
         return [] if close else [f"{where}: {ours} and {theirs}"]
     return [] if ours == theirs else [f"{where}: {ours} and {theirs}"]
@@ -340,8 +338,7 @@ def test_a_lens_of_another_program_is_read(tmp_path: Path) -> None:
     camera |= {"lens_file": "eye.cameramodel", "focal_sigma_px": 0.5, "centre_sigma_px": 1.5}
     write_toml(folder / FILE, content)
     found = load_photo_session(folder)
-    known = found.eyeball_camera.calibrated
-    assert known is not None
+    known = narrowed(found.eyeball_camera.calibrated, LensCamera)
     assert known.kind == "rational"
     assert np.allclose(known.values[:4], [700.0, 701.0, 321.0, 239.5])
     assert np.allclose(present(found.eyeball_camera.calibrated_sigma), [0.5, 0.5, 1.5, 1.5] + [0] * 8)
@@ -386,7 +383,7 @@ def test_dots_in_a_region_are_seen_past_the_optics_and_not_through_them(tmp_path
 
 def test_a_target_may_have_a_board_of_its_own(tmp_path: Path) -> None:
     session = load_photo_session(saved(fiducials(tmp_path)))
-    assert (session.board_of(7).columns, session.board_of(0).columns) == (6, 8)
+    assert [narrowed(session.board_of(pose), DotBoard).columns for pose in (7, 0)] == [6, 8]
 
 
 TEXT = resource("docs", "photo-session.md").read_text(encoding="utf-8")

@@ -1,13 +1,14 @@
 """Tables of a bench session: written and read alike, turned into our conventions, and faults named with their line."""
 
 import gzip
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from wlr_render.captures import session_tables
@@ -26,6 +27,8 @@ from wlr_render.captures.session_schema import (
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV
+from wlr_render.io.file_records import Rule
+from wlr_render.io.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "bench-session.md"
@@ -41,7 +44,7 @@ capture,time_s,travel,stage_x_mm,stage_y_mm,stage_z_mm,channel,camera_u,camera_v
 def random_columns(schema: Schema, rng: np.random.Generator, captures: int = 4) -> dict[Any, Any]:
     """Columns of a session as a bench could deliver them."""
     count = captures * ROWS_PER_CAPTURE
-    of_kind = {
+    of_kind: dict[Rule, Callable[[], NDArray[np.floating[Any]]]] = {
         NUMBER: lambda: rng.uniform(-20.0, 20.0, count),
         INDEX: lambda: np.arange(count) // ROWS_PER_CAPTURE + 0.0,
         SIGN: lambda: rng.choice([-1.0, 1.0], count),
@@ -229,7 +232,7 @@ def test_a_table_has_a_largest_number_of_rows_and_size_decompressed(
         read_table(path, DISPLAY)
     path = tmp_path / "display.csv.gz"
     path.write_bytes(gzip.compress(bytes(2_000_000)))
-    limits = replace(session_tables.LIMITS, table_bytes=1_000_000, rows=3)
+    limits = replace(LIMITS, table_bytes=1_000_000, rows=3)
     monkeypatch.setattr(session_tables, "LIMITS", limits)
     with pytest.raises(BadInputError, match="decompresses to more than 1 MB"):
         read_table(path, DISPLAY)

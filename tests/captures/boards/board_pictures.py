@@ -1,7 +1,7 @@
 """Pictures of a board by a plain camera, four by four rays a pixel, with the truth of where its dots are seen."""
 
 from functools import cache
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,17 @@ def truth(camera: LensCamera, camera_from_board: FloatArray, index: IntArray, bo
     return camera.pixel_of_point(apply(camera_from_board, board.point_of(index)))
 
 
+@overload
+def exposed(light: FloatArray, white: float = ..., snr: int | None = ..., seed: int = ...) -> NDArray[np.uint8]: ...
+@overload
+def exposed(
+    light: FloatArray,
+    white: float = ...,
+    snr: int | None = ...,
+    seed: int = ...,
+    *,
+    dtype: type[np.unsignedinteger[Any]],
+) -> NDArray[np.uint16] | NDArray[np.uint8]: ...
 def exposed(
     light: FloatArray,
     white: float = 200.0,

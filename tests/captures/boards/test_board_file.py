@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from captures.boards.board_pictures import BOARD
 from PIL import Image
-from present import present
+from present import narrowed, present
 
 from wlr_render.captures.boards.april_grid import AprilGrid
 from wlr_render.captures.boards.board import BoardTolerances
@@ -135,7 +135,7 @@ def test_a_file_without_a_kind_is_a_board_of_dots(tmp_path: Path) -> None:
         line for line in path.read_text().splitlines() if not re.match("kind|scale_sigma|flatness|print_error", line)
     ]
     path.write_text("\n".join(kept))
-    board = load_board(path)
+    board = narrowed(load_board(path), DotBoard)
     assert np.array_equal(board.large, BOARD.large)
     assert np.allclose(astuple(board.tolerances), astuple(BoardTolerances()))
 
@@ -146,7 +146,7 @@ def test_a_board_on_a_monitor_is_given_in_its_pixels(tmp_path: Path) -> None:
         'kind = "chessboard"\nscreen = true\npixel_pitch_mm = 0.25\ncorner_columns = 9\ncorner_rows = 6\n'
         "square_px = 100\nmargin_px = 20\n"
     )
-    board = load_board(path)
+    board = narrowed(load_board(path), Chessboard)
     assert board.square_m == pytest.approx(0.025)
     assert board.margin_m == pytest.approx(0.005)
 

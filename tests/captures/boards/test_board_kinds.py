@@ -5,7 +5,6 @@ distortion, and rounding to 8 bits.
 """
 
 from functools import cache
-from typing import Any
 
 import cv2
 import numpy as np
@@ -58,7 +57,7 @@ def unturned(found: BoardObservation, board: Board) -> BoardObservation:
     return both(found, board)[int(np.argmin(off))]
 
 
-def both(found: BoardObservation, board: Board) -> list[Any]:
+def both(found: BoardObservation, board: Board) -> list[BoardObservation]:
     return [found, found.half_turned(board)] if found.ambiguous_half_turn else [found]
 
 

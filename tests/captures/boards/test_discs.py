@@ -44,7 +44,8 @@ def test_centres_are_those_of_the_discs_where_the_lens_bends_their_pictures(kind
     camera_from_board = rigid(rotation_about("y", np.deg2rad(tilt_deg)), np.array([0.01, 0.0, 0.42]))
     index = FEW.indices()
     true = lens.pixel_of_point(apply(camera_from_board, FEW.point_of(index)))
-    index, true = (each[np.all((true > 20) & (true < np.array(lens.size_px) - 20), axis=1)] for each in (index, true))
+    inside = np.all((true > 20) & (true < np.array(lens.size_px) - 20), axis=1)
+    index, true = index[inside], true[inside]
     point, radius = FEW.point_of(index), 0.5 * FEW.diameter_of(index)
     centroid = centroids(lens, camera_from_board, point, radius)
     assert len(index) > 50

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from wlr_render.captures.boards.dot_centres import MeasuredDots, measure_dots
 from wlr_render.captures.boards.dot_lattice import find_dots
@@ -13,7 +13,7 @@ FINE = 8  # rays per pixel and axis
 
 
 def drawn(
-    centres: ArrayLike, half_axes: ArrayLike, turn_rad: float, size: tuple[int, int] = (240, 320), dot: float = 0.1
+    centres: FloatArray, half_axes: FloatArray, turn_rad: float, size: tuple[int, int] = (240, 320), dot: float = 0.1
 ) -> FloatArray:
     """(h, w) light of ellipses on white 1."""
     light = np.ones((FINE * size[0], FINE * size[1]))
@@ -60,7 +60,8 @@ def test_centre_and_area_are_not_biased_by_size_or_blur(diameter: float, blur_px
 
 def test_slanted_dots_keep_their_centres_and_shapes() -> None:
     centres = scattered(14.0)
-    seen, found, order = measured(np.uint8(200 * drawn(centres, np.tile([7.0, 4.0], (len(centres), 1)), 0.6)), centres)
+    light = drawn(centres, np.tile([7.0, 4.0], (len(centres), 1)), 0.6)
+    seen, found, order = measured((200 * light).astype(np.uint8), centres)
     assert np.sqrt(np.mean((seen - centres) ** 2)) < 0.015
     squares = np.linalg.eigvalsh(found.dots.spread[order])
     assert 2 * np.sqrt(squares) == pytest.approx(np.tile([4.0, 7.0], (len(centres), 1)), rel=0.04)
@@ -81,15 +82,15 @@ def test_sigma_is_what_noise_does(diameter: float, snr: int) -> None:
     rng = np.random.default_rng(5)
     pulls = []
     for _ in range(6):
-        image = np.uint8(np.clip(np.rint(200 * light + rng.normal(0, 200 / snr, light.shape)), 0, 255))
+        image = np.clip(np.rint(200 * light + rng.normal(0, 200 / snr, light.shape)), 0, 255).astype(np.uint8)
         seen, found, order = measured(image, centres)
         pulls.append((seen - centres) / found.sigma_px[order, None])
     assert np.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.3)
 
 
 def test_a_dot_cut_off_by_the_picture_is_not_measured() -> None:
-    light = drawn([[4.0, 60.0], [100.0, 60.0]], [[6.0, 6.0], [6.0, 6.0]], 0.0)
-    image = np.uint8(200 * light)
+    light = drawn(np.array([[4.0, 60.0], [100.0, 60.0]]), np.full((2, 2), 6.0), 0.0)
+    image = (200 * light).astype(np.uint8)
     dots = find_dots(image)
     assert len(dots) == 1
     assert np.allclose(dots.centre, [[100.0, 60.0]], atol=0.3)

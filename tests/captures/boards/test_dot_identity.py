@@ -13,7 +13,7 @@ from wlr_render.numerics.arrays import BoolArray, IntArray
 TURNS = [np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), q) for q in range(4)]
 
 
-def window(column: int, row: int, width: int, height: int) -> IntArray:
+def window(column: int | np.int64, row: int | np.int64, width: int, height: int) -> IntArray:
     u, v = np.meshgrid(np.arange(column, column + width), np.arange(row, row + height))
     return np.stack([u, v], axis=-1).reshape(-1, 2)
 
@@ -110,4 +110,4 @@ def test_the_mirror_image_of_every_window_is_called_so() -> None:
         for column in range(0, BOARD.columns - WINDOW + 1, 3):
             true = window(column, row, WINDOW, WINDOW)
             with pytest.raises(BoardNotFoundError, match="mirrored"):
-                identify(true * [-1, 1], sizes_at(true), BOARD.large)
+                identify(true * np.array([-1, 1]), sizes_at(true), BOARD.large)

@@ -1,6 +1,6 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +10,6 @@ from wlr_render.captures.decoded import Decoded
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
-
-if TYPE_CHECKING:
-    from conftest import ToyCamera
 
 
 @dataclass(frozen=True)
@@ -102,7 +99,7 @@ def toy_camera() -> Callable[..., Any]:
 def errors_of() -> Callable[[Any, Decoded], tuple[Any, Any]]:
     """Errors (n,) of accepted pixels along the worse axis, and the accepted part of the pixels on the panel."""
 
-    def errors(camera: "ToyCamera", decoded: Decoded) -> tuple[Any, Any]:
+    def errors(camera: ToyCamera, decoded: Decoded) -> tuple[Any, Any]:
         off = np.abs(decoded.pixel - camera.truth()).max(axis=-1)
         return off[decoded.accepted], np.mean(decoded.accepted[camera.whole()])
 

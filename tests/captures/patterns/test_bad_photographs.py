@@ -25,7 +25,7 @@ def sets(toy_camera: Callable[..., Any]) -> dict[Any, Any]:
     return {name: (pattern, list(camera.photographs(pattern))) for name, pattern in patterns.items()}
 
 
-def exchanged(photographs: Sequence[NDArray[np.uint8]], *places: object) -> list[Any]:
+def exchanged(photographs: Sequence[NDArray[np.uint8]], *places: tuple[int, int]) -> list[Any]:
     result = list(photographs)
     for one, other in places:
         result[one], result[other] = result[other], result[one]

@@ -23,7 +23,7 @@ pytestmark = [
 
 
 def opencv_decoder(panel: Panel) -> Any:
-    return cv2.structured_light.GrayCodePattern.create(panel.width_px, panel.height_px)
+    return vars(cv2)["structured_light"].GrayCodePattern.create(panel.width_px, panel.height_px)
 
 
 @pytest.mark.parametrize("size", [(64, 32), (100, 75), (1920, 1080)])
