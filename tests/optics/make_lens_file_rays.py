@@ -36,7 +36,7 @@ RAYOPTICS = {
 }
 
 
-def starting_rays(width_mm, tangent: FloatArray, seed: int = 5) -> tuple[NDArray[Any], Any]:
+def starting_rays(width_mm: float, tangent: float, seed: int = 5) -> tuple[NDArray[Any], Any]:
     """Origins (n, 3) in mm before the first surface, and unit directions (n, 3)."""
     rng = np.random.default_rng(seed)
     origin = np.stack([*rng.uniform(-width_mm, width_mm, (2, RAYS)), np.full(RAYS, -10.0)], axis=-1)
@@ -115,7 +115,7 @@ def make_decentred() -> None:
     model.save_model(FOLDER / "decentred.roa")
 
 
-def trace_with_rayoptics(path, origin, direction: FloatArray) -> NDArray[Any]:
+def trace_with_rayoptics(path: Path, origin: FloatArray, direction: FloatArray) -> NDArray[Any]:
     """As `trace_with_optiland`."""
     from rayoptics.codev import cmdproc
     from rayoptics.gui.roafile import open_roa
@@ -158,5 +158,5 @@ if __name__ == "__main__":
             start, head = starting_rays(*beam)
             stored[name] = np.concatenate([start[:, None], head[:, None], tracer(FOLDER / name, start, head)], axis=1)
             print(name, stored[name].shape, "lost:", np.isnan(stored[name]).any(axis=(1, 2)).sum())
-    np.savez_compressed(STORED, **stored)
+    np.savez_compressed(STORED, allow_pickle=False, **stored)
     print(f"{STORED}: {STORED.stat().st_size / 1e3:.0f} kB")

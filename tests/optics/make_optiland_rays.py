@@ -9,7 +9,6 @@ bases under its own anamorphic terms and once with toroids. Its frame is taken a
 rays run towards +z as in its own designs.
 """
 
-import pathlib
 from dataclasses import replace
 from itertools import product
 from math import comb
@@ -81,7 +80,7 @@ def cases() -> dict[str, tuple[Path, np.ndarray, np.ndarray]]:
     return result
 
 
-def trace_with_optiland(path: pathlib.Path, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def trace_with_optiland(path: Path, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Points on every surface, then the last direction: (n, steps + 1, 3), device frame, metres."""
     from optiland.materials import IdealMaterial
     from optiland.optic import Optic
@@ -162,5 +161,5 @@ if __name__ == "__main__":
     for name, (path, origin, direction) in cases().items():
         start = np.stack([origin, direction], axis=1)
         stored[name] = np.concatenate([start, trace_with_optiland(path, origin, direction)], axis=1)
-    np.savez_compressed(STORED, **stored)
+    np.savez_compressed(STORED, allow_pickle=False, **stored)
     print(f"{STORED}: {STORED.stat().st_size / 1e3:.0f} kB")

@@ -5,20 +5,19 @@ distances in test_optics_shapes) and the biconic under one root (the prism's S1 
 the patent's figures in test_traced_mappings).
 """
 
-import pathlib
-
 import numpy as np
 import pytest
 from optics.make_optiland_rays import STORED, WAVELENGTH_UM, cases, trace_with_optiland
 
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import Path
 from wlr_render.optics.tracer import trace
 
 CASES = cases()
 
 
-def assert_same_rays(path: pathlib.Path, rays: FloatArray) -> None:
+def assert_same_rays(path: Path, rays: FloatArray) -> None:
     """Stored as (n, 2 + steps + 1, 3): origin, direction, points, last direction; to 1e-9 mm and 1e-9 rad."""
     traced = trace(path, rays[:, 0], rays[:, 1], WAVELENGTH_UM)
     assert (traced.status == Status.OK).all()

@@ -65,10 +65,10 @@ def assert_same_parts(eye: EyeOptics, other: EyeOptics) -> None:
         assert [step.surface.name for step in read.steps] == [step.surface.name for step in path.steps]
         assert [step.interaction for step in read.steps] == [step.interaction for step in path.steps]
         assert [step.medium.name for step in read.steps] == [step.medium.name for step in path.steps]
-    for surface, read in zip(eye.surfaces(), other.surfaces(), strict=True):
-        np.testing.assert_allclose(read.device_from_surface, surface.device_from_surface, rtol=0, atol=1e-15)
-        np.testing.assert_allclose(read.aperture.low, surface.aperture.low, rtol=1e-15)
-        np.testing.assert_allclose(read.aperture.high, surface.aperture.high, rtol=1e-15)
+    for surface, placed in zip(eye.surfaces(), other.surfaces(), strict=True):
+        np.testing.assert_allclose(placed.device_from_surface, surface.device_from_surface, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(placed.aperture.low, surface.aperture.low, rtol=1e-15)
+        np.testing.assert_allclose(placed.aperture.high, surface.aperture.high, rtol=1e-15)
     assert other.panel.pixels == eye.panel.pixels
     np.testing.assert_allclose(other.panel.size, eye.panel.size, rtol=1e-15)
     np.testing.assert_allclose(other.panel.device_from_panel, eye.panel.device_from_panel, rtol=0, atol=1e-15)
