@@ -1,13 +1,12 @@
 """Each imperfection of an ordinary bench is measured back from the tables."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from oracle.captures import CAMERA_CENTRE_PX, CAMERA_FOCAL_PX, TARGET_DISTANCES_MM, Plan
 from oracle.effects import Effect, draw_effect
@@ -42,15 +41,15 @@ def display(nature: BenchNature, plan: Plan = PLAN, seed: int = 1) -> NDArray[An
     return gap.reshape(-1, plan.grid[0] * plan.grid[1], 2)
 
 
-def sigma(values: Sequence[Any]):
+def sigma(values: ArrayLike) -> float:
     """Root mean square; NaN where a point was not seen."""
-    return np.sqrt(np.nanmean(np.square(values)))
+    return float(np.sqrt(np.nanmean(np.square(values))))
 
 
-def moved_by(effect: Effect):
+def moved_by(effect: Effect) -> float:
     """By how many panel pixels an effect moves what the display table has, on average along u."""
     hidden, plain = (observe(QUIET, e, np.random.default_rng(1)).display["pixel_u"] for e in ([effect], []))
-    return abs(np.nanmean(hidden - plain))
+    return float(abs(np.nanmean(hidden - plain)))
 
 
 def test_a_perfect_nature_changes_nothing_and_no_nature_changes_the_positions() -> None:

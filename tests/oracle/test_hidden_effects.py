@@ -51,9 +51,9 @@ def change(plan: Plan, *effects: Effect) -> tuple[Any, Any, Any]:
     return pixel - clean_pixel, dots - clean_dots, session
 
 
-def largest(moved: FloatArray):
+def largest(moved: FloatArray) -> float:
     assert np.isfinite(moved).mean() > 0.1
-    return np.nanmax(np.abs(moved))
+    return float(np.nanmax(np.abs(moved)))
 
 
 @pytest.mark.parametrize("name", [*LISTED, *UNLISTED])
@@ -191,7 +191,7 @@ def test_an_outlier_is_one_capture() -> None:
     found = set()
     for seed in range(12):
         outlier = draw_outlier(QUIET, np.random.default_rng(seed))
-        pose, number = outlier.amount["target_pose"], outlier.amount["capture"]
+        pose, number = int(outlier.amount["target_pose"]), int(outlier.amount["capture"])
         display, dots, session = change(QUIET, outlier)
         hit = {-1: session.display["capture"][np.nan_to_num(np.abs(display[:, 0])) > 0]}
         for k in range(3):

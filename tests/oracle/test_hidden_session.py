@@ -80,7 +80,7 @@ def test_effects_leave_the_stated_bench_and_the_positions_alone(tmp_path: Path) 
         write_session(tmp_path / folder, SMALL, effects, np.random.default_rng(1))
     assert (tmp_path / "clean" / "bench.toml").read_text() == (tmp_path / "moved" / "bench.toml").read_text()
     stages = [np.unique(columns(read(tmp_path / f, "display"), STAGE), axis=0) for f in ("clean", "moved")]
-    np.testing.assert_array_equal(*stages)
+    np.testing.assert_array_equal(stages[0], stages[1])
 
 
 def test_noise_is_as_stated() -> None:
@@ -101,7 +101,9 @@ def captures_of(table: NDArray[Any], pose: NDArray[Any]) -> Captures:
     _, first = np.unique(np.stack([pose, table["capture"]], axis=-1), axis=0, return_index=True)
     rows = table[first]
     travel = rows["travel"] if "travel" in present(table.dtype.names) else np.ones(len(rows))
-    return Captures(pose[first].astype(int), rows["capture"].astype(int), rows["time_s"], travel, columns(rows, STAGE))
+    return Captures(
+        pose[first].astype(int), rows["capture"].astype(int), rows["time_s"], travel.astype(int), columns(rows, STAGE)
+    )
 
 
 @clean_data
@@ -121,7 +123,7 @@ def test_the_format_is_that_of_measured_sessions(tmp_path: Path) -> None:
         planar = [
             np.unique(columns(t[t["capture"] < 36], ["capture", "time_s", *STAGE]), axis=0) for t in (own, measured)
         ]
-        np.testing.assert_array_equal(*planar)
+        np.testing.assert_array_equal(planar[0], planar[1])
 
 
 @clean_data
