@@ -108,6 +108,29 @@ def test_figures_that_differ_by_rounding_are_the_same(tmp_path: Path) -> None:
     assert "Of 4 figures that both reports have, 0 differ" in text
 
 
+def test_rounding_about_zero_is_no_difference(tmp_path: Path) -> None:
+    before, now = (
+        report(["left", "noise", small, None, "m"], ["right", "noise", 1.0, None, "m"]) for small in (1e-17, -3e-17)
+    )
+    _, text = compared(before, now, tmp_path)
+    assert "Of 8 figures that both reports have, 0 differ" in text
+
+
+def test_a_figure_in_another_unit_differs_by_no_number(tmp_path: Path) -> None:
+    before, now = (report(["left", "noise", 0.2, Estimate(1.0, 0.1, unit), "m"]) for unit in ("mm", "um"))
+    tables, _ = compared(before, now, tmp_path)
+    (size,) = tables["Errors at 1 m"]["rows"]
+    assert (size["difference"], size["now / before"]) == (None, None)
+    assert "sigmas" not in size
+
+
+def test_a_column_of_labels_may_be_called_as_one_of_the_comparison(tmp_path: Path) -> None:
+    before, now = (report(["left", value], columns=("figure", "now"), title="x" * 3000) for value in (1.0, 2.0))
+    tables, _ = compared(before, now, tmp_path)
+    (row,) = tables["x" * 3000]["rows"]
+    assert (row["figure (row)"], row["figure"], row["before"], row["now"]) == ("left", "now", 1.0, 2.0)
+
+
 def test_tables_of_one_title_are_told_by_their_sections(tmp_path: Path) -> None:
     def of_both(size: float) -> Report:
         tables = [

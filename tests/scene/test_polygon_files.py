@@ -484,6 +484,18 @@ def test_each_solid_of_an_ascii_stl_is_a_mesh(tmp_path: Path) -> None:
     np.testing.assert_allclose(high.normal, [[0, 0, 1]] * 3)
 
 
+@pytest.mark.parametrize("ends", ["\r", " ", "\n" + 5000 * "\n"])
+def test_white_space_of_any_kind_separates_the_words_of_an_ascii_stl(tmp_path: Path, ends: str) -> None:
+    text = ends.join(SOLID.format(name="Geh\xe4use", z="0.5").splitlines())
+    mesh = only(stl(tmp_path, text.encode("latin-1")))
+    assert len(mesh.triangles) == 1
+
+
+def test_bytes_behind_the_facets_of_a_binary_stl_are_left_out(tmp_path: Path) -> None:
+    facets = binary_stl([[[0, 0, 0], [2, 0, 0], [0, 1, 0]]])
+    assert len(only(stl(tmp_path, facets + b"\0")).triangles) == 1
+
+
 def test_a_binary_stl_may_begin_as_an_ascii_one(tmp_path: Path) -> None:
     mesh = only(stl(tmp_path, binary_stl([[[0, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]])))
     assert mesh.name == "part.stl"

@@ -18,10 +18,12 @@ from wlr_render.report.plots import ratio_plot
 
 FORMAT, VERSION = "wlr-report", 1
 """Format of a report's JSON file."""
-_SAME = 1e-6  # relative difference up to which two figures are one: fits repeat to their last digits only
+_SAME = 1e-6  # relative tolerance: fits that are repeated differ in the last digits
+_ROUNDING = 1e-12  # absolute tolerance over the largest figure of a column
 _REWRITE = "run the verb again to write the report"
 _MOST_NAMES = 10  # rows, columns or tables of one report that a sentence names
 _MOST_RATIOS = 30  # lines of the plot
+_PARTS = ("value", "error")
 
 Item = TypeVar("Item")
 
@@ -123,7 +125,7 @@ def _table(table: Table) -> RecordedTable:
         if tuple(row.keys()) != columns:
             raise row.fail(f"has other columns than the first row of the table; {_REWRITE}.")
     cells = tuple(tuple(_cell(row, column) for column in columns) for row in rows)
-    return RecordedTable(table.text("section"), table.text("title"), columns, cells)
+    return RecordedTable(_words(table, "section"), _words(table, "title"), columns, cells)
 
 
 def _cell(row: Table, column: str) -> Cell:
@@ -147,34 +149,30 @@ def _number(table: Table, key: str) -> float | int | None:
 
 @dataclass(frozen=True)
 class _Figure:
-    """One cell in both reports: the label of its row, and its column."""
+    """One cell in both reports: the label of its row, its column, and the largest figure of that column."""
 
     label: tuple[Cell, ...]
     column: str
     before: Cell
     now: Cell
+    largest: float
 
     @cached_property
     def both(self) -> tuple[Estimate, Estimate]:
-        """The numbers before and now with their errors, 0 if unknown; NaN for words and empty cells."""
-        before, now = (
-            each
-            if isinstance(each, Estimate)
-            else Estimate(float(each) if isinstance(each, int | float) else math.nan, 0.0)
-            for each in (self.before, self.now)
-        )
-        return before, now
+        """The numbers before and now with their errors, 0 if unknown; NaN for words, empty cells and other units."""
+        before, now = _estimate(self.before), _estimate(self.now)
+        return (before, now) if before.unit == now.unit else (Estimate(math.nan, 0.0), Estimate(math.nan, 0.0))
 
     @property
     def differs(self) -> bool:
         """True if the cells differ by more than rounding."""
-        before, now = self.both
-        is_same = math.isclose(before.value, now.value, rel_tol=_SAME)
-        return self.before != self.now and not (is_same and math.isclose(before.error, now.error, rel_tol=_SAME))
+        pairs = [(getattr(before, name), getattr(now, name)) for before, now in [self.both] for name in _PARTS]
+        is_same = all(math.isclose(*each, rel_tol=_SAME, abs_tol=_ROUNDING * self.largest) for each in pairs)
+        return self.before != self.now and not is_same
 
     @property
     def difference(self) -> float:
-        """The value now less the value before; NaN for words and empty cells."""
+        """The value now less the value before; NaN where they cannot be compared."""
         before, now = self.both
         return now.value - before.value
 
@@ -189,6 +187,12 @@ class _Figure:
         """The difference over its standard error; None if no error is known."""
         error = math.hypot(*(each.error for each in self.both))
         return self.difference / error if error > 0 else None
+
+
+def _estimate(cell: Cell) -> Estimate:
+    if isinstance(cell, Estimate):
+        return cell
+    return Estimate(float(cell) if isinstance(cell, int | float) else math.nan, 0.0)
 
 
 @dataclass(frozen=True)
@@ -229,7 +233,17 @@ class _Pair:
         """The cells that both reports have."""
         before, now = self._rows(self.before), self._rows(self.now)
         both = [(key[0], before[key], row) for key, row in now.items() if key in before]
-        return [_Figure(label, each, old[each], new[each]) for label, old, new in both for each in new if each in old]
+        largest: dict[str, float] = {}
+        for _, old, new in both:
+            for head in new:
+                sizes = [abs(_estimate(row.get(head)).value) for row in (old, new)]
+                largest[head] = max([largest.get(head, 0.0), *(size for size in sizes if math.isfinite(size))])
+        return [
+            _Figure(label, head, old[head], new[head], largest[head])
+            for label, old, new in both
+            for head in new
+            if head in old
+        ]
 
     @property
     def changed(self) -> list[_Figure]:
@@ -246,8 +260,7 @@ class _Pair:
 
     def table(self) -> ReportTable:
         """Return the figures that differ."""
-        columns: Columns = {
-            **{head: partial(_label, number) for number, head in enumerate(self.now.columns[: self.label_width])},
+        figures: Columns = {
             "figure": "column",
             "before": "before",
             "now": "now",
@@ -255,7 +268,9 @@ class _Pair:
             "now / before": "ratio",
             **({"sigmas": "sigmas"} if any(each.sigmas is not None for each in self.changed) else {}),
         }
-        return table(self.title, self.changed, columns)
+        heads = self.now.columns[: self.label_width]
+        labels = {f"{head} (row)" if head in figures else head: partial(_label, k) for k, head in enumerate(heads)}
+        return table(self.title, self.changed, labels | figures)
 
 
 def _label(number: int, figure: _Figure) -> Cell:

@@ -12,6 +12,10 @@ from wlr_render.errors import BadInputError
 from wlr_render.scene.raw_mesh import RawMesh
 
 _HEADER_BYTES, _FACET_BYTES = 84, 50
+_FACET = re.compile(rb"(?<!end)facet\s+normal", re.IGNORECASE)
+_STATEMENT = re.compile(
+    rb"(?<!\s)\s++(?=(?:facet\s+normal|outer\s+loop|vertex|endloop|endfacet|endsolid)\b)", re.IGNORECASE
+)
 
 
 def stl_meshes(path: Path, content: bytes) -> Iterator[RawMesh]:
@@ -22,11 +26,14 @@ def stl_meshes(path: Path, content: bytes) -> Iterator[RawMesh]:
     """
     import trimesh
 
-    facets = len(re.findall(rb"^\s*facet\b", content, re.MULTILINE | re.IGNORECASE))
-    if int.from_bytes(content[80:_HEADER_BYTES], "little") * _FACET_BYTES + _HEADER_BYTES == len(content):
-        facets = (len(content) - _HEADER_BYTES) // _FACET_BYTES
-    elif not facets:
+    end = _HEADER_BYTES + _FACET_BYTES * int.from_bytes(content[80:_HEADER_BYTES], "little")
+    if _HEADER_BYTES <= end <= len(content):
+        content, facets = content[:end], (end - _HEADER_BYTES) // _FACET_BYTES  # some writers add bytes
+    elif not (facets := len(_FACET.findall(content))):
         raise BadInputError(f"{path}: is neither an ASCII STL nor a binary one of the stated length; export it again.")
+    else:
+        # trimesh reads one statement a line, and would guess the encoding.
+        content = _STATEMENT.sub(b"\n", content).decode("utf-8", errors="replace").encode()
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # numpy's warning about text that is not a number
         solids = trimesh.load_scene(io.BytesIO(content), file_type="stl", process=False).geometry

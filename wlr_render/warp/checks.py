@@ -54,7 +54,7 @@ def checked_eye(eye: str | None, eyes: Sequence[str]) -> str:
 def checked_eyes(given: object, eyes: Sequence[str]) -> list[str]:
     """Return some of the eyes, the left one first; all if None."""
     named: Any = eyes if given is None else given
-    is_some = isinstance(named, Collection) and not isinstance(named, str) and bool(named)
+    is_some = isinstance(named, Collection) and not isinstance(named, str) and len(named) > 0
     _require(is_some, "eyes", given, f"give some of {', '.join(eyes)}, as in eyes=('left',)")
     wanted = {checked_choice(eye, eyes, "an eye of eyes") for eye in named}
     return [eye for eye in eyes if eye in wanted]
