@@ -9,14 +9,20 @@ from benchmarks.__main__ import BENCHMARKS, main
 from benchmarks.soak import study
 from benchmarks.soak.wearer import Wearer
 from wlr_render.report.blocks import Report, ReportTable
+from wlr_render.work.progress import Progress
 
 
 def test_soak_options_reach_the_benchmark_and_its_tables_are_printed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given = []
+    given: list[study.SoakOptions] = []
     table = ReportTable("A title", ("what", "how long (ms)"), [["this", 1.25]], ("A note.",))
-    run = wraps(study.run)(lambda options, progress: given.append(options) or Report("", blocks=[table]))
+
+    @wraps(study.run)
+    def run(options: study.SoakOptions, progress: Progress) -> Report:
+        given.append(options)
+        return Report("", blocks=[table])
+
     monkeypatch.setattr(study, "run", run)
     assert main(["soak", "northstar", "desk"]) == 0
     files = ["--head", "h.tum", "--eye-track", "e.txt"]

@@ -30,7 +30,7 @@ TASKS = [NamedTrial("a.json"), NamedTrial("b.json")]
 
 
 @pytest.fixture
-def runs(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+def runs(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
     """Names of the trials that were run, each with its seed; all are run in this process."""
     monkeypatch.setattr(kept_trials, "as_finished", in_this_process)
     return []
@@ -49,20 +49,20 @@ def finished(
     return list(finished_trials(run, load, tasks, seed=seed, folder=folder, resume=resume, workers=LOCAL))
 
 
-def test_only_what_is_missing_is_run_again(runs: Sequence[object], tmp_path: Path) -> None:
+def test_only_what_is_missing_is_run_again(runs: list[tuple[str, int]], tmp_path: Path) -> None:
     first = finished(runs, tmp_path, 1, resume=False, tasks=TASKS[:1])
     assert finished(runs, tmp_path, 1, resume=True) == [*first, NamedOutcome(TASKS[1], 1)]
     assert runs == [("a.json", 1), ("b.json", 1)]
 
 
-def test_without_resume_all_is_run_again(runs: Sequence[object], tmp_path: Path) -> None:
+def test_without_resume_all_is_run_again(runs: list[tuple[str, int]], tmp_path: Path) -> None:
     finished(runs, tmp_path, 1, resume=False)
     finished(runs, tmp_path, 1, resume=False, tasks=TASKS[:1])
     assert runs == [("a.json", 1), ("b.json", 1), ("a.json", 1)]
     assert [path.name for path in tmp_path.rglob("*.json")] == ["a.json"]
 
 
-def test_outcomes_of_another_seed_are_not_used(runs: Sequence[object], tmp_path: Path) -> None:
+def test_outcomes_of_another_seed_are_not_used(runs: list[tuple[str, int]], tmp_path: Path) -> None:
     finished(runs, tmp_path, 1, resume=False)
     assert finished(runs, tmp_path, 2, resume=True) == [NamedOutcome(task, 2) for task in TASKS]
 
@@ -78,7 +78,7 @@ def test_outcomes_of_another_seed_are_not_used(runs: Sequence[object], tmp_path:
     ],
 )
 def test_an_outcome_that_is_not_as_it_was_written_is_run_again_and_named(
-    runs: Sequence[object], tmp_path: Path, damage: Callable[..., Any]
+    runs: list[tuple[str, int]], tmp_path: Path, damage: Callable[..., Any]
 ) -> None:
     first = finished(runs, tmp_path, 1, resume=False)
     path = tmp_path / "seed-1" / "b.json"

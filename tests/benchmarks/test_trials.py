@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from present import narrowed
 from small_headsets import changed_device
 
 from benchmarks import trial_study
@@ -22,8 +23,9 @@ from benchmarks.trials import (
     NoModelTrial,
     Outcome,
     SeeThroughTrial,
+    Trial,
 )
-from wlr_render.evaluation.metrics import summary
+from wlr_render.evaluation.metrics import Summary, summary
 
 SEED = 3
 BOX = (10.0, 8.0, 6.0)
@@ -80,7 +82,7 @@ def test_each_trial_has_its_own_random_numbers() -> None:
 
 
 def test_trials_with_random_errors_are_repeated_and_pooled() -> None:
-    study = Study([], lambda trial: Outcome({Measure.FORWARD: summary([3.0 + trial.repeat])}), 2)
+    study = Study([], lambda trial: Outcome({Measure.FORWARD: summary([3.0 + narrowed(trial, Trial).repeat])}), 2)
     trial = trial_at(DisplayTrial, EvaluatedEye("a", "right", BOX), "planar", None, 25)
     assert len(study.repeated(trial)) == 1
     noisy = replace(trial, camera_noise_arcmin=1.0)
@@ -108,7 +110,7 @@ def test_the_eye_box_is_that_of_the_device_unless_another_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The trials' eye boxes; none of them runs."""
-    errors = {Measure.FORWARD: summary([1.0]), Measure.PREDICTED: summary([1.0])}
+    errors: dict[str, Summary] = {Measure.FORWARD: summary([1.0]), Measure.PREDICTED: summary([1.0])}
     taken = []
 
     def run_none(trials: Sequence[DisplayTrial], *given: object) -> dict[DisplayTrial, Outcome]:

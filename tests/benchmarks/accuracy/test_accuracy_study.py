@@ -3,14 +3,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from present import narrowed
 
 from benchmarks.__main__ import main
 from benchmarks.accuracy.lab_sessions import SIDES, LabTrial, labs
 from benchmarks.accuracy.measurements import display, see_through, stuck
 from benchmarks.trial_study import Study
-from benchmarks.trials import EvaluatedEye, FoundBench, Measure, Outcome
+from benchmarks.trials import EvaluatedEye, FoundBench, Measure, NoModelTrial, Outcome, Trial
 from wlr_render.evaluation.metrics import summary
-from wlr_render.report.blocks import ReportTable
+from wlr_render.report.blocks import Block, ReportTable
 
 BOX = (10.0, 8.0, 6.0)
 NORTHSTAR = EvaluatedEye("northstar", "right", BOX, name="northstar")
@@ -24,7 +25,8 @@ def outcome(
     return Outcome({name: summary([value]) for name, value in errors.items()}, found, 500, seconds)
 
 
-def rows_of(table: ReportTable) -> list[dict[str, Any]]:
+def rows_of(block: Block) -> list[dict[str, Any]]:
+    table = narrowed(block, ReportTable)
     return [dict(zip(table.columns, row, strict=True)) for row in table.rows]
 
 
@@ -41,7 +43,7 @@ def test_draws_are_averaged_beside_the_figure_wanted_and_the_prediction_is_poole
 
 def test_fits_in_a_wrong_maximum_are_counted() -> None:
     found = [(30.0, 100.0), (14.0, 100.0), (30.0, 210.0), (58.0, 55.0)]
-    study = Study([NORTHSTAR], lambda trial: outcome(1.0, 1.0, *found[trial.repeat]))
+    study = Study([NORTHSTAR], lambda trial: outcome(1.0, 1.0, *found[narrowed(trial, Trial).repeat]))
     (row,) = rows_of(stuck(study, 4).blocks[0])
     assert (row["draws"], row["stuck"]) == (4, 2)
     assert row["least shift found / true"] == pytest.approx(14 / 30)
@@ -50,7 +52,8 @@ def test_fits_in_a_wrong_maximum_are_counted() -> None:
 def test_sessions_of_labs_are_counted_by_kind() -> None:
     """One of two sessions of each kind is honest."""
 
-    def run(trial: LabTrial) -> Outcome:
+    def run(given: Trial | NoModelTrial) -> Outcome:
+        trial = narrowed(given, LabTrial)
         if trial.level == 0.0:
             return Outcome({}, refused="why")
         honest = {"true": 1.0, "predicted": 1.1 - 0.6 * trial.repeat, "in 68 %": 0.7, "in 95 %": 0.9}

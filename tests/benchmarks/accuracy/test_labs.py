@@ -10,6 +10,7 @@ from benchmarks.trials import EvaluatedEye, truth
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.captures.capture_file import load_captures
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.simulation.workshop import SWITCHES
@@ -77,10 +78,10 @@ def test_stated_errors_have_about_the_size_of_the_true_ones(name: str) -> None:
     for seed in range(4):
         captures, _ = lab_captures(at.device, seed=seed, positions=9, switches=(name,), noise_arcmin=1e-6)
         assert captures.display is not None
+        part: DisplayCaptures | SeeThroughCaptures
         part, change = captures.display, present(captures.display.common).changes(captures.display, slice(None))
         if name == "bow":
-            part = captures.see_through
-            assert part is not None
+            part = present(captures.see_through)
             exact = truth(at).see_through.view_dir_of_real_point(part.point, part.viewpoint).value
             moved = present(part.common).changes(part, slice(None)).point
             depth = (part.viewpoint - part.point)[:, 2, None, None]
@@ -101,4 +102,4 @@ def test_only_what_is_named_is_stated() -> None:
         np.testing.assert_allclose(1e6 * part.motion.size[:, 3:], 5.0, rtol=0.1)
     nothing, _ = lab_captures("birdbath28", positions=4, stated=())
     perfect, _ = lab_captures("birdbath28", 0.0, positions=4, switches=SWITCHES)
-    assert all(part.common is part.motion is None for part in (*nothing.both, *perfect.both))
+    assert all(part.common is None and part.motion is None for part in (*nothing.both, *perfect.both))

@@ -22,6 +22,7 @@ from benchmarks.kept_trials import kept_outcome
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.prediction import Predictor
+from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.errors import BadInputError
 from wlr_render.report.blocks import ReportTable
 
@@ -60,12 +61,12 @@ def outcome(
     strong = (100.0,) * len(effects)
     trial = DiagnosisTrial(kind, effects, number, changes.pop("condition", Condition.WHITE))
     faked = DiagnosisOutcome(
-        trial, "northstar", {}, ({},), verdict, named, "", (), (), (), 2.0, strong, held_out=1.0, seconds=3.0
+        trial, "northstar", {}, ({},), verdict, named, (), (), (), (), 2.0, strong, held_out=1.0, seconds=3.0
     )
     return replace(faked, **changes)
 
 
-def figures(outcomes: Sequence[DiagnosisOutcome]) -> dict[str, tuple[float, int]]:
+def figures(outcomes: Sequence[DiagnosisOutcome]) -> dict[object, tuple[object, object]]:
     table = tables(outcomes)[0]
     return {row[0]: (row[1], row[2]) for row in table.rows}
 
@@ -158,7 +159,7 @@ def test_a_trial_is_judged_by_what_was_hidden_and_kept(monkeypatch: pytest.Monke
     small = Plan("birdbath28", grid=(8, 6), dots=(6, 5), nodes=4, off_plane=10, sigma_px=0.05)
     monkeypatch.setattr(trial, "_plan", lambda drawn, rng: small)
     few = {name: CAUSES[name] for name in ("panel_axial_shift", "panel_shift", "target_scale")}
-    monkeypatch.setattr(trial, "diagnose", partial(trial.diagnose, causes=few))
+    monkeypatch.setattr(trial, "diagnose", partial(diagnose, causes=few))
     monkeypatch.setattr(remainder, "CAUSES", few)
     one = DiagnosisTrial(TrialKind.ONE, ("panel_axial_shift",), 0)
     ran = kept_outcome(run_trial, loaded_outcome, tmp_path, 1, one)

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from present import present
+from present import narrowed, present
 
 from benchmarks.__main__ import main
 from benchmarks.moved_observations import moved_back, self_inconsistency_arcmin
@@ -18,7 +18,7 @@ from benchmarks.paper.experiments import (
     structure,
 )
 from benchmarks.trial_study import Study
-from benchmarks.trials import EvaluatedEye, Outcome
+from benchmarks.trials import EvaluatedEye, Outcome, Trial
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import summary
 from wlr_render.mappings import Eye
@@ -36,7 +36,9 @@ def eye(name: str) -> EvaluatedEye:
 
 def test_structure_shows_every_query_of_both_samplings_in_its_unit() -> None:
     size = {"planar": 1.0, "volumetric": 2.0}
-    study = Study((eye("a"),), lambda t: Outcome({measure: summary([size[t.kind]]) for measure in DepthMeasure}))
+    study = Study(
+        (eye("a"),), lambda t: Outcome({measure: summary([size[narrowed(t, Trial).kind]]) for measure in DepthMeasure})
+    )
     (table,) = structure(study).blocks
     assert isinstance(table, ReportTable)
     assert [row[2] for row in table.rows] == ["arcmin", "px", "arcmin", "mm", "arcmin"]

@@ -1,10 +1,9 @@
 """Views written here in the foreign format come back as they were."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from benchmarks.published_data import itoh_seethrough
 from benchmarks.published_data.itoh_seethrough import SeeThroughPairs, read_itoh_seethrough
@@ -23,7 +22,7 @@ def points(values: FloatArray) -> list[float]:
     return [0, 0, len(values), 0, 0, 0, *np.ravel(values)]
 
 
-def pose(quaternion: ArrayLike, translation: ArrayLike) -> list[float]:
+def pose(quaternion: Iterable[float], translation: Iterable[float]) -> list[float]:
     return [0, 0, 0, 0, *quaternion, 0, 0, *translation]
 
 

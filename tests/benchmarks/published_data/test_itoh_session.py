@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from present import present
+from present import as_number, present
 
 from benchmarks.__main__ import main as benchmark
 from benchmarks.published_data import study
@@ -62,8 +62,9 @@ def pairs_through_plate(thickness: float) -> SeeThroughPairs:
     rng = np.random.default_rng(4)
     cameras, targets, bare, through = zip(*(view(n, thickness, rng) for n in range(len(VIEWS))), strict=True)
     seconds = 60.0 * np.arange(len(VIEWS))
+    camera, target, seen, displaced = (np.array(each) for each in (cameras, targets, bare, through))
     return SeeThroughPairs(
-        VIEWS, (1280, 1024), FOCAL, CENTRE, *map(np.array, (cameras, targets)), DOTS, *map(np.array, (bare, through)),
+        VIEWS, (1280, 1024), FOCAL, CENTRE, camera, target, DOTS, seen, displaced,
         bare_time_s=np.asarray(seconds + 20), through_time_s=np.asarray(seconds),
     )  # fmt: skip
 
@@ -114,14 +115,15 @@ def test_the_plate_is_found_and_predicts_the_other_distance(
     *_, table, values = report.tables
     thick = values.rows[0]
     assert thick[:2] == ["see_through_plate", "thickness"]
-    by_diagnosis, by_captures = thick[-2:]
+    by_diagnosis, by_captures = map(as_number, thick[-2:])
     assert 0.3 * by_diagnosis < by_captures < 3.0 * by_diagnosis
     assert [row[:2] for row in table.rows] == [
         ["all other captures", "each see-through capture"],
         ["all other distances", "1.02 m"],
         ["all other distances", "1.31 to 1.32 m"],
     ]
-    for *_, readings, before, after, noise in table.rows:
+    for row in table.rows:
+        readings, before, after, noise = map(as_number, row[-4:])
         assert readings == len(DOTS) * (8 if readings > 4 * len(DOTS) else 4)
         assert before > 10 * noise
         assert after == pytest.approx(noise, rel=0.1)

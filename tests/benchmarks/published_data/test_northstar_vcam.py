@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 from PIL import Image
 from present import present
 
@@ -35,15 +34,15 @@ def camera_dirs() -> FloatArray:
 
 
 def seen_fraction(
-    viewpoint: FloatArray, centre: ArrayLike, size_m: FloatArray, distance_m: float, v_runs_up: bool
+    viewpoint: FloatArray, centre: FloatArray, size_m: FloatArray, distance_m: float, v_runs_up: bool
 ) -> FloatArray:
     """Where each pixel of a camera looks on a flat screen `distance_m` in front; 0 where it misses it."""
     hit = viewpoint[:2] + camera_dirs()[..., :2] * distance_m
     fraction = (hit - centre) / size_m + 0.5
     if not v_runs_up:
         fraction[..., 1] = 1 - fraction[..., 1]
-    inside = ((fraction > 0.01) & (fraction < 0.99)).all(axis=-1)
-    return np.where(inside[..., None], fraction, 0.0)
+    inside = ((fraction > 0.01) & (fraction < 0.99)).all(axis=-1, keepdims=True)
+    return np.where(inside, fraction, 0.0)
 
 
 def write_session(folder: Path) -> Path:
@@ -56,15 +55,17 @@ def write_session(folder: Path) -> Path:
                 if kind == "M":
                     views.append(seen_fraction(viewpoint, np.zeros(2), MONITOR_M, RIG_DISTANCE_M, v_runs_up=True))
                 else:
-                    views.append(seen_fraction(viewpoint, [x, 0.0], IMAGE_M, IMAGE_DISTANCE_M, v_runs_up=False))
+                    views.append(
+                        seen_fraction(viewpoint, np.array([x, 0.0]), IMAGE_M, IMAGE_DISTANCE_M, v_runs_up=False)
+                    )
             both = np.round(np.concatenate(views, axis=1) * 65535).astype(np.uint16)
             for axis, name in enumerate(("Width", "Height")):
                 Image.fromarray(np.ascontiguousarray(both[..., axis])).save(
                     folder / f"{kind}{height}_{name}Calibration.png"
                 )
     matrix = [FOCAL_PX, 0, CENTRE_PX, 0, FOCAL_PX, CENTRE_PX, 0, 0, 1]
-    calibration = {"deviceCalibrations": [{"cameras": [{"cameraMatrix": matrix}] * 2}]}
-    calibration["deviceCalibrations"][0]["baseline"] = BASELINE_M
+    device = {"cameras": [{"cameraMatrix": matrix}] * 2, "baseline": BASELINE_M}
+    calibration = {"deviceCalibrations": [device]}
     (folder / "cameraCalibration.json").write_text(json.dumps(calibration))
     area = {"CalibrationMonitorActiveAreaMeters": {"x": MONITOR_M[0], "y": MONITOR_M[1]}}
     (folder / "config.json").write_text(json.dumps(area))

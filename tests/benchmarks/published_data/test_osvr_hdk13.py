@@ -1,10 +1,10 @@
 """Traces of a lens at several eye reliefs, drawn here in closed form, read as captures of a display."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from benchmarks.published_data.osvr_hdk13 import (
     PANEL,
@@ -13,9 +13,10 @@ from benchmarks.published_data.osvr_hdk13 import (
     read_osvr_captures,
     read_osvr_hdk13,
 )
+from wlr_render.numerics.arrays import FloatArray
 
 
-def lens_file(path: Path, scale: float, field: ArrayLike = (-4.0, 0.0, 4.0)) -> LensTable:
+def lens_file(path: Path, scale: float, field: Sequence[float] | FloatArray = (-4.0, 0.0, 4.0)) -> LensTable:
     rows = [(x, y, scale * x, scale * y) for x in field for y in field]
     path.write_text("\n".join("\t".join(f"{v:.2E}" for v in row) for row in rows) + "\nRay Error at 9 9\n")
     return read_osvr_hdk13(path)

@@ -27,7 +27,13 @@ def display_captures(
     direction = direction_of(pixel, viewpoint)
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     return DisplayCaptures(
-        **EYE, panel=PANEL, viewpoint=viewpoint, view_dir=direction, pixel=pixel, capture=capture, sigma_arcmin=0.0
+        **EYE,
+        panel=PANEL,
+        viewpoint=viewpoint,
+        view_dir=direction,
+        pixel=pixel,
+        capture=capture,
+        sigma_arcmin=np.array(0.0),
     )
 
 
@@ -47,4 +53,4 @@ def see_through_captures(
         "capture": capture,
         "target_pose": pose,
     }
-    return SeeThroughCaptures(**EYE, **rows, point=point, sigma_arcmin=0.0)
+    return SeeThroughCaptures(**EYE, **rows, point=point, sigma_arcmin=np.array(0.0))

@@ -18,14 +18,14 @@ EXACT = 1e-6  # arcminutes
 SIZE = 0.005
 
 
-def in_millimetres(inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def in_millimetres(inputs: FloatArray) -> tuple[FloatArray, ...]:
     return inputs[:, 0], inputs[:, 1], *(inputs[:, 2:] / SIZE).T
 
 
 def linear_in_place(inputs: FloatArray) -> FloatArray:
     """Tangents (n, 2) of maps that are cubic in the pixel and linear in the place."""
-    u, v, x, y, *z = in_millimetres(inputs)
-    depth = z[0] if z else 0.0
+    u, v, x, y, *rest = in_millimetres(inputs)
+    depth = rest[0] if rest else 0.0
     return np.column_stack([0.6 * u + 0.1 * u**2 * v + 0.03 * x * (1 + v), 0.5 * v + 0.02 * y * u**3 + 0.01 * depth])
 
 

@@ -55,16 +55,17 @@ def captured() -> tuple[MethodData, Eye, SeeThroughObservations]:
     eyes = []
     for kind in ("planar", "volumetric"):
         positions = setup.camera_positions(kind, 16)
-        both = simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng)
-        eyes.append(Captures(*(with_pixel_noise(each, NOISE_PX, rng) for each in both)))
+        shown, world = simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng)
+        eyes.append(Captures(with_pixel_noise(shown, NOISE_PX, rng), with_pixel_noise(world, NOISE_PX, rng)))
     viewpoint = viewpoints.random_in_eye_box(setup.truth.eye_box, 6, rng)[:, None]
     view_dir = setup.field.directions(5, 4)
     view_dir = view_dir * [0.8, 0.8, 1.0]
     view_dir = view_dir / np.linalg.norm(view_dir, axis=1, keepdims=True)
     shape = (6, len(view_dir), 3)
-    where = (np.broadcast_to(each, shape).reshape(-1, 3) for each in (viewpoint, view_dir))
-    seen = see_through_observations(setup.truth.see_through, *where, np.full(6 * len(view_dir), 1.0))
-    return MethodData(*eyes, partial(_drawn, AT, (2, 0)), _coarse_bench), setup.truth, seen
+    viewpoint, view_dir = (np.broadcast_to(each, shape).reshape(-1, 3) for each in (viewpoint, view_dir))
+    seen = see_through_observations(setup.truth.see_through, viewpoint, view_dir, np.ones(len(view_dir)))
+    planar, volumetric = eyes
+    return MethodData(planar, volumetric, partial(_drawn, AT, (2, 0)), _coarse_bench), setup.truth, seen
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 import pytest
-from present import present
+from present import as_number, narrowed
 
 from benchmarks.__main__ import main
 from benchmarks.rivals import alignments, reliefs
@@ -32,7 +32,8 @@ def test_intervals_hold_the_scatter_of_whole_captures() -> None:
     found = HeldOut("one", np.abs(offset + rng.normal(0, 0.1, 600)), group)
     half = HeldOut("other", 0.5 * found.error, group)
     rms, interval, _, own, _ = cells(found, found)
-    low, high = (float(word) for word in present(interval).split(" to "))
+    rms = as_number(rms)
+    low, high = (float(word) for word in narrowed(interval, str).split(" to "))
     assert rms == pytest.approx(rms_of(found))
     assert own is None
     assert low < 0.8 * rms < 1.2 * rms < high  # a bootstrap over rows has a tenth of this width
@@ -73,7 +74,7 @@ def swimming(positions: FloatArray, curved: float = 0.0) -> DisplayCaptures:
         view_dir=dir_of_tangents(tangents),
         pixel=pixel,
         capture=capture,
-        sigma_arcmin=0.0,
+        sigma_arcmin=np.array(0.0),
     )
 
 
@@ -101,7 +102,8 @@ def test_a_folder_without_any_set_is_refused(tmp_path: Path, capsys: pytest.Capt
 
 def tables(folder: Path, name: str, tmp_path: Path) -> list[dict[str, Any]]:
     assert main(["rivals", "--measured", str(folder.parent), "--sets", name, "--out", str(tmp_path)]) == 0
-    return json.loads((tmp_path / "rivals.json").read_text())["tables"]
+    found: list[dict[str, Any]] = json.loads((tmp_path / "rivals.json").read_text())["tables"]
+    return found
 
 
 def test_a_plane_fitted_to_other_sittings_beats_an_old_calibration(

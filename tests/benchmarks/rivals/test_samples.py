@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from present import narrowed
 from rival_headsets import EYE_BOX, IN_PLANE, IN_VOLUME, PANEL, PIXELS, display_captures, see_through_captures
 from rival_samples import grid_of_places, samples_of
 
@@ -13,6 +14,7 @@ from wlr_render.geometry.planes import BasePlane
 from wlr_render.models import model_place
 from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.inverse import backward_start_of
+from wlr_render.models.model_place import OwnPlace
 from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
@@ -27,7 +29,11 @@ POSITIONS = {"planar": IN_PLANE, "volumetric": IN_VOLUME, "static": IN_VOLUME}
 PIXEL_BOX = ([0.0, 0.0], [1000.0, 800.0])
 PLACE_BOX = ([0.02, -0.01, 0.015], [0.04, 0.01, 0.025])
 TANGENT_BOX = ([-1.0, -1.0], [1.0, 1.0])
-PLACES = {"planar": PLANE, "volumetric": model_place.VIEWPOINT, "static": model_place.NOWHERE}
+PLACES: dict[str, BasePlane | OwnPlace] = {
+    "planar": PLANE,
+    "volumetric": model_place.VIEWPOINT,
+    "static": model_place.NOWHERE,
+}
 
 
 def seen_box(places: int, last: bool) -> Box:
@@ -81,6 +87,7 @@ def test_a_display_whose_truth_is_the_regressor_is_recovered(structure: str) -> 
         POSITIONS[structure], lambda pixel, viewpoint: truth.view_dir_of_pixel(pixel, viewpoint).value
     )
     model, regressor = fit_structure(DISPLAY, captures, structure, quadratic)
+    assert isinstance(model, DisplayModel)
     assert model.place == truth.place
     assert model.forward is regressor
     found, expected = (each.view_dir_of_pixel(PIXEL, VIEWPOINT).value for each in (model, truth))
@@ -96,12 +103,12 @@ def test_a_see_through_model_whose_truth_is_the_regressor_is_recovered(structure
         lambda point, viewpoint: tangents_of_dir(truth.view_dir_of_real_point(point, viewpoint).value),
     )
     model, regressor = fit_structure(SEE_THROUGH, captures, structure, quadratic)
-    assert model.place == truth.place
+    assert narrowed(model, SeeThroughModel).place == truth.place
     assert regressor.outputs == 4
     found, expected = (each.view_dir_of_real_point(POINT, VIEWPOINT).value for each in (model, truth))
     assert arcmin_between(found, expected).max() < EXACT
-    rays = [each.real_ray_of_view_dir(expected, VIEWPOINT).value for each in (model, truth)]
-    np.testing.assert_allclose(*rays, atol=1e-10)
+    ray, expected_ray = (each.real_ray_of_view_dir(expected, VIEWPOINT).value for each in (model, truth))
+    np.testing.assert_allclose(ray, expected_ray, atol=1e-10)
 
 
 def test_a_static_model_of_a_display_with_pupil_swim_is_that_of_the_position_nearest_to_the_centre() -> None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from present import as_number
 from small_photo_session import SmallSession, in_this_process
 
 from benchmarks.simulated_lab import registration_photographs
@@ -40,7 +41,7 @@ def test_drawn_dots_cover_real_ones(options: SimulatedLabOptions) -> None:
     names = [f"{DEPTH_M} m, viewpoint {view}" for view in (0, 1)]
     assert [row[:2] for row in pairs.rows] == [[name, method] for name in names for method in METHODS]
     for row in pairs.rows:
-        dots, median = row[2:4]
+        dots, median = map(as_number, row[2:4])
         assert dots >= 20
         assert 0 < median < 1.0
         assert row[-1] is None

@@ -43,8 +43,8 @@ def test_readings_scatter_by_their_noise_about_the_true_projections(simulated: S
         off = seen.pixel - truth.eyeball_at_target[each.target_pose].pixel_of_point(point)
         assert rms(off) == pytest.approx(0.02, rel=0.2)
         assert np.all(seen.sigma_px == 0.02)
-    for each, camera in zip(session.display, truth.display, strict=True):
-        samples = simulated.reading.panels[each.folder].samples
+    for codes, camera in zip(session.display, truth.display, strict=True):
+        samples = simulated.reading.panels[codes.folder].samples
         exact = panel_position(truth.bench.optics, truth.bench.eyeball.camera, camera, samples.camera_pixel)
         assert rms(samples.panel_pixel - exact.value) == pytest.approx(0.03, rel=0.1)
         beside = panel_position(

@@ -12,7 +12,8 @@ from benchmarks.soak.records import Stream
 from benchmarks.soak.study import SoakOptions
 from benchmarks.soak.wearer import Wearer
 from wlr_render.errors import MissingGlError
-from wlr_render.mappings import Eye, Panel, QueryResult, Status
+from wlr_render.jobs.headset import open_eye
+from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult, Status
 from wlr_render.numerics.arrays import FloatArray
 
 
@@ -20,19 +21,26 @@ from wlr_render.numerics.arrays import FloatArray
 class FailsLeftWhenFarRight:
     """A display whose solve fails in the panel's left third while the pupil is 2.5 to 3.5 mm right of the centre."""
 
-    whole: object
+    whole: DisplayMapping
 
     @property
     def panel(self) -> Panel:
         return self.whole.panel
 
-    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: None = None) -> QueryResult:
+    def view_dir_of_pixel(
+        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> QueryResult:
         assert warm_start is None or np.isfinite(warm_start).all()
         good = self.whole.view_dir_of_pixel(pixel, viewpoint)
         x_mm = 1e3 * (np.asarray(viewpoint)[..., 0] - BOX.centre[0])
         failed = (np.asarray(pixel)[..., 0] < self.panel.width_px / 3) & (x_mm > 2.5) & (x_mm < 3.5)
         status = np.where(failed, np.uint8(Status.NOT_CONVERGED), good.status)
         return QueryResult(np.where(failed[..., None], np.nan, good.value), status)
+
+    def pixel_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> QueryResult:
+        return self.whole.pixel_of_view_dir(view_dir, viewpoint, warm_start)
 
 
 def options(scene_file: str, wearer: Wearer, frames: int, **others: Any) -> SoakOptions:
@@ -82,7 +90,7 @@ def test_points_that_fail_are_named_with_time_and_eye_and_are_whole_again_next_f
 
 
 def test_both_eyes_of_a_late_head_are_drawn_and_each_is_noted(straight_device: str, scene_file: str) -> None:
-    models = {eye: study.open_eye(straight_device, eye) for eye in ("left", "right")}
+    models = {eye: open_eye(straight_device, eye) for eye in ("left", "right")}
     stream = study.draw(options(scene_file, Wearer(), 4, late_ms=20.0), models)
     assert stream.eyes == ("left", "right")
     for frame in stream.frames:

@@ -1,8 +1,7 @@
 import csv
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,16 +10,16 @@ from PIL import Image
 from benchmarks.soak import report, study
 from benchmarks.soak.records import Cost, EyeMoment, FrameNote, Stream, StreamFrame
 from wlr_render.gl.context import GlContext
-from wlr_render.report.blocks import ReportTable
+from wlr_render.report.blocks import Cell, ReportTable
 from wlr_render.tracking.viewpoint_filter import TrackingState
-from wlr_render.work.progress import Progress
+from wlr_render.work.progress import Item, Progress
 
 
 class Heard(Progress):
-    def __init__(self, given: Sequence[object]) -> None:
+    def __init__(self, given: list[tuple[int, str]]) -> None:
         self.given = given
 
-    def __call__(self, items: Iterator[Any], total: int, label: str) -> Iterator[Any]:
+    def __call__(self, items: Iterable[Item], total: int, label: str) -> Iterator[Item]:
         self.given.append((total, label))
         yield from items
 
@@ -35,7 +34,7 @@ def stream_of(frame_ms: Sequence[float]) -> Stream:
     return Stream(frames, (), 100.0, 0.0, "nobody", (5, 4))
 
 
-def table(stream: Stream, title: str) -> tuple[dict[str, dict[str, float | str]], ReportTable]:
+def table(stream: Stream, title: str) -> tuple[dict[Cell, dict[str, Cell]], ReportTable]:
     (found,) = (each for each in report.tables_of(stream) if title in each.title)
     return {row[0]: dict(zip(found.columns, row, strict=True)) for row in found.rows}, found
 
@@ -53,7 +52,8 @@ def test_percentiles_are_of_all_frames_but_the_first() -> None:
 def test_a_run_leaves_tables_a_row_of_each_frame_and_a_picture(
     gl_context: GlContext, straight_device: str, scene_file: str, tmp_path: Path
 ) -> None:
-    out, given = tmp_path / "out", []
+    out = tmp_path / "out"
+    given: list[tuple[int, str]] = []
     options = study.SoakOptions(straight_device, scene_file, eye="both", frames=6, size=(32, 18), out=out)
     found = study.run(options, progress=Heard(given))
     assert given[0] == (6, "frames")

@@ -14,7 +14,7 @@ def eyes_at_rest(duration_s: float) -> EyeTrajectory:
     return EyeTrajectory({eye: ViewpointTrack(time_s, np.array([place, place])) for eye, place in VIEWPOINTS.items()})
 
 
-def seen(samples: Sequence[FloatArray]) -> FloatArray:
+def seen(samples: Sequence[FloatArray | None]) -> FloatArray:
     """(n, 3), NaN where there is no sample."""
     return np.array([np.full(3, np.nan) if sample is None else sample for sample in samples])
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from present import narrowed
 
 from benchmarks.speed import offline
 from benchmarks.speed.baselines import bare_gl_frame, raw_embree, shaded_gl_frame
@@ -28,7 +29,7 @@ def scene() -> Scene:
 def test_raw_embree_finds_what_our_tracer_finds(scene: Scene, small_panel_model: Eye) -> None:
     field = ray_map(small_panel_model, small_panel_model.eye_box.centre, choose_plan(small_panel_model))
     origin, direction = field.world_rays(HEAD_POSE)
-    shares = raw_embree(scene, origin, direction)()
+    shares = narrowed(raw_embree(scene, origin, direction)(), list)
     raw = {key: np.concatenate([share[key] for share in shares]) for key in ("tfar", "primID")}
     ours = RayRenderer(scene).tracer.intersect(origin, direction)
     hit = np.isfinite(ours.distance)

@@ -1,7 +1,6 @@
 """The fixed warps put the picture where their maps say, each colour by its own."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -53,7 +52,7 @@ def drawn_by(baseline: GlWarpBaseline) -> FloatArray:
         baseline.release()
 
 
-def opened(make: Callable[..., Any], *args: ArrayLike) -> GlWarpBaseline:
+def opened(make: Callable[..., GlWarpBaseline], *args: ArrayLike) -> GlWarpBaseline:
     try:
         return make(*args)
     except Exception as error:  # glcontext raises bare Exception where there is no EGL

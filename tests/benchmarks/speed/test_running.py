@@ -1,11 +1,14 @@
 """What runs is a frame, and what is kept is kept."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from speed_work import needs_gl, small_work
 
 from benchmarks.speed.running import LATE_S, TURN_DEG_PER_S, WALK_M_PER_S, Running, later_pose
 from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.gl_ray_maps import GlPlanarSolver
 
 
@@ -20,11 +23,14 @@ def test_a_second_frame_in_a_round_is_the_same_without_its_solve(
     small_panel_model: Eye, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     needs_gl()
-    solved = []
+    solved: list[FloatArray] = []
     solve = GlPlanarSolver.solve
-    monkeypatch.setattr(
-        GlPlanarSolver, "solve", lambda self, viewpoint: solved.append(viewpoint) or solve(self, viewpoint)
-    )
+
+    def noted(self: GlPlanarSolver, viewpoint: FloatArray) -> Any:
+        solved.append(viewpoint)
+        return solve(self, viewpoint)
+
+    monkeypatch.setattr(GlPlanarSolver, "solve", noted)
     with Running.of(small_work(small_panel_model)) as on:
         first = on.frame(0).read()
         second = on.frame(0).read()
