@@ -270,7 +270,7 @@ class _Pair:
         }
         heads = self.now.columns[: self.label_width]
         labels = {f"{head} (row)" if head in figures else head: partial(_label, k) for k, head in enumerate(heads)}
-        return table(self.title, self.changed, labels | figures)
+        return table(self.title, self.changed, {**labels, **figures})
 
 
 def _label(number: int, figure: _Figure) -> Cell:
