@@ -158,7 +158,7 @@ def fitted_at_rest(observations: Observations, start: Explanation, **options: An
     return fit(weighed(observations), start, scatter_of(observations), vary_scatter=False, **options)
 
 
-def fitted(observations: Observations, start: object, **options: Any) -> Fit | None:
+def fitted(observations: Observations, start: Explanation, **options: Any) -> Fit | None:
     """A fit that finds the sizes of what is random, from those of an ordinary bench on."""
     return fit(weighed(observations), start, Scatter.usual(len(observations.captures)), **options)
 
@@ -176,7 +176,7 @@ def with_jitter(
     shift_um: float,
     rng: np.random.Generator,
     turn_urad: float = 0.0,
-    dof: int = np.inf,
+    dof: float = np.inf,
 ) -> Observations:
     """The same readings by a camera that stands and looks elsewhere in each capture, by normal or Student's motions."""
     captures = len(observations.captures)

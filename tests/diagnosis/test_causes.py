@@ -14,7 +14,7 @@ from present import present
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import SeeThroughPlan, SessionPlan, select_rows
-from wlr_render.diagnosis.cause import Cause, Role
+from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.assembly import ASSEMBLY_ERRORS, AssemblyError, assembled
@@ -72,7 +72,7 @@ every_device_way = pytest.mark.parametrize(("cause", "variant"), DEVICE_WAYS, id
 
 def sized(cause: Cause, share: float) -> FloatArray:
     """Values at a share of the prior sigmas; forms at their first start."""
-    kinds = {
+    kinds: dict[Role, Callable[[Parameter], float]] = {
         Role.SIZE: lambda p: share * p.prior_sigma,
         Role.SHAPE: lambda p: p.starts[0],
         Role.TIME: lambda p: MOMENT_S,
@@ -83,9 +83,10 @@ def sized(cause: Cause, share: float) -> FloatArray:
 @pytest.fixture(scope="module")
 def plans(bench: Bench, plan: SessionPlan) -> dict[bool, SessionPlan]:
     """A thinned plan for causes on the bench, and one for causes at run time."""
+    shown, seen = present(plan.display), present(plan.see_through)
     few = SessionPlan(
-        select_rows(plan.display, np.arange(0, len(present(plan.display)), 9)),
-        select_rows(plan.see_through, np.arange(0, len(present(plan.see_through)), 9)),
+        select_rows(shown, np.arange(0, len(shown), 9)),
+        select_rows(seen, np.arange(0, len(seen), 9)),
     )
     return {False: few, True: SessionPlan(run_time=run_time_plan(bench, 40))}
 
@@ -187,7 +188,7 @@ def test_a_thicker_combiner_has_a_longer_way_through_it(bench: Bench, device: st
         start, ahead = of.optics.eye_box.centre, np.array([0.0, -0.1, -1.0]) / np.sqrt(1.01)
         steps = of.optics.see_through.steps
         near, far = (trace(Path(met), start, ahead, 0.55).origin for met in (steps[:1], steps))
-        return np.linalg.norm(far - near)
+        return float(np.linalg.norm(far - near))
 
     loaded = replace(bench, device=load_device(device))
     thicker = way(CAUSES["substrate_thickness"].perturb(loaded, np.array([0.1]), variant)) - way(loaded)

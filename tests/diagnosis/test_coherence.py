@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnosis.small_session import SIGMA_PX, measured, with_readings
-from present import present
+from present import narrowed, present
 
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_file import load_bench, save_bench
@@ -16,11 +16,12 @@ from wlr_render.diagnosis.combiner_fields import footprints
 from wlr_render.diagnosis.fine_in_bench import fine_in_bench, size_of, with_fine
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.numerics.cells import Cells
 
 PLACE_MM = np.array([2.0, -1.5])
 
 
-def of(observations: Observations, rounds: tuple[int] = (1,)) -> FineEffect | None:
+def of(observations: Observations, rounds: tuple[int, ...] = (1,)) -> FineEffect | None:
     predictor = Predictor(observations)
     return fine_effect(predictor, predictor.residual(Explanation()), 2.0, rounds)
 
@@ -36,8 +37,8 @@ def spotted(observations: Observations, radius_mm: float = 2.0, size_px: float =
 
 def denser(plan: SessionPlan, times: int = 4) -> SessionPlan:
     """The display read at so many times as many pixels, between those of the plan."""
-    table = select_rows(plan.display, np.repeat(np.arange(len(present(plan.display))), times))
-    assert table is not None
+    shown = present(plan.display)
+    table = select_rows(shown, np.repeat(np.arange(len(shown)), times))
     apart = 40.0 * np.random.default_rng(1).uniform(-1, 1, (len(table), 2))
     return SessionPlan(replace(table, camera_pixel=table.camera_pixel + apart), plan.see_through)
 
@@ -93,7 +94,8 @@ def test_cells_of_any_station_change_the_readings_as_they_were_changed(
     assert fine is not None
     fine = replace(fine, station=station, rows=rows, at=np.zeros((len(rows), 2)), cell=1e6, change=change)
     (effect,) = fine_in_bench(fine, predictor)
-    everywhere = [replace(effect, function=replace(effect.function, middles=place)) for place in QUADRANTS]
+    cells = narrowed(effect.function, Cells)
+    everywhere = [replace(effect, function=replace(cells, middles=place)) for place in QUADRANTS]
     read = predictor.residual_of_bench(replace(bench, effects=tuple(everywhere))) - predictor.residual(Explanation())
     np.testing.assert_allclose(np.nanmean(read[rows], axis=0), [-1.0, 0.0], atol=0.05)
 

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +34,7 @@ def test_notebooks_show_the_verdict_the_advice_and_the_causes(explained: Diagnos
     assert "Diagnosis of &lt;img src=x&gt;" in hostile
 
 
-def titles(report: Report, kind: Callable[..., Any]) -> list[Any]:
+def titles(report: Report, kind: type[Section | Plot]) -> list[str]:
     return [block.title for block in report.blocks if isinstance(block, kind)]
 
 

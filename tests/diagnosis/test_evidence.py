@@ -19,11 +19,11 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.scatter import Scatter, ScatterSums, marginal
 
 
-def fits(observations: Observations, *starts: object) -> list[Any]:
+def fits(observations: Observations, *starts: Explanation) -> list[Any]:
     return [fitted(observations, start) for start in starts]
 
 
-def costs(observations: Observations, *starts: object) -> list[Any]:
+def costs(observations: Observations, *starts: Explanation) -> list[Any]:
     return [found.minus_two_log_evidence for found in fits(observations, *starts)]
 
 

@@ -1,6 +1,5 @@
 """Fits: what was injected comes back, also from far away; and the error bars say how well."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -34,7 +33,7 @@ STARTS = {
 DRAWS = 12
 
 
-def drawn_by_prior(found: Fit | None, true: Sequence[float]) -> FloatArray:
+def drawn_by_prior(found: Fit | None, true: ArrayLike) -> FloatArray:
     """By how much the prior draws the free values of a fit without noise; moments have no mean."""
     assert found is not None
     parameters = found.explanation.parameters()
@@ -50,7 +49,7 @@ def assert_came_back(found: Fit | None, true: ArrayLike) -> None:
     """The posterior mean: the truth, drawn by the prior, by less than one standard error."""
     assert found is not None
     drawn, sigmas = drawn_by_prior(found, true), found.sigmas()
-    np.testing.assert_array_less(np.abs(found.explanation.vector() - present(true) + drawn), 0.03 * sigmas + 1e-9)
+    np.testing.assert_array_less(np.abs(found.explanation.vector() - np.asarray(true) + drawn), 0.03 * sigmas + 1e-9)
     np.testing.assert_array_less(np.abs(drawn)[found.at.free], sigmas[found.at.free])
 
 
@@ -63,7 +62,7 @@ def injected(cause: Cause) -> NDArray[Any]:
 def test_what_was_injected_comes_back(bench: Bench, plan: SessionPlan, run_time: SessionPlan, cause: Cause) -> None:
     """Without noise: from nothing, through whatever is not linear on the way, to where the prior draws the truth."""
     session, true = run_time if cause.part in ("eye tracking", "clock") else plan, injected(cause)
-    observations = measured(bench, session, **{cause.name: true})
+    observations = measured(bench, session, 0.0, 0, **{cause.name: true})
     observations = observations.of_rows(observations.spread(800))
     found = fitted_at_rest(observations, explanation(**{cause.name: STARTS.get(cause.name, cause.null())}))
     assert_came_back(found, true)
@@ -89,8 +88,8 @@ def test_where_readings_tell_little_the_prior_draws_as_in_linear_regression(benc
 
 
 def test_three_causes_at_once_come_back(bench: Bench, plan: SessionPlan) -> None:
-    true: dict[str, Any] = explanation(panel_shift=[0.4, -0.6], stage_scale=[1.0, -0.5, 0.7], target_scale=[0.3, 0.2])
-    observations = measured(bench, plan, **dict(zip(true.names, true.values, strict=True)))
+    true = explanation(panel_shift=[0.4, -0.6], stage_scale=[1.0, -0.5, 0.7], target_scale=[0.3, 0.2])
+    observations = measured(bench, plan, 0.0, 0, **dict(zip(true.names, true.values, strict=True)))
     found = fitted_at_rest(observations, true.at(np.zeros(7)))
     assert present(found).explanation.names == true.names
     assert_came_back(found, true.vector())
@@ -99,8 +98,8 @@ def test_three_causes_at_once_come_back(bench: Bench, plan: SessionPlan) -> None
 def test_error_bars_are_honest(bench: Bench, plan: SessionPlan) -> None:
     """Over draws of the noise, (estimate - truth) weighted by the stated covariance is chi-squared distributed."""
     names = ("combiner_tilt", "target_scale", "thermal_drift")
-    truth: dict[str, Any] = explanation(**{name: injected(CAUSES[name]) for name in names})
-    exact = measured(bench, plan, **dict(zip(truth.names, truth.values, strict=True)))
+    truth = explanation(**{name: injected(CAUSES[name]) for name in names})
+    exact = measured(bench, plan, 0.0, 0, **dict(zip(truth.names, truth.values, strict=True)))
     exact = exact.of_rows(exact.spread(240))
     prior_sigma = np.array([parameter.prior_sigma for parameter in truth.parameters()])
     total, within = 0.0, []

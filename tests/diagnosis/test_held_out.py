@@ -14,7 +14,7 @@ from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, held_out_residual
 from wlr_render.diagnosis.observations import SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +31,9 @@ def improvement_by(before: FloatArray, after: NDArray[Any]) -> HeldOutImprovemen
     return held_out_improvement(np.sqrt(before), np.sqrt(after), np.arange(len(before)))
 
 
-def squares_of(observations: Observations, found: Fit | None) -> IntArray:
-    return np.bincount(observations.group, np.sum(held_out_residual(present(found), observations) ** 2, axis=1))
+def squares_of(observations: Observations, found: Fit | None) -> FloatArray:
+    squares = np.sum(held_out_residual(present(found), observations) ** 2, axis=1)
+    return np.asarray(np.bincount(observations.group, squares), dtype=np.float64)
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ def plan(nominal: Bench) -> SessionPlan:
     # Wider than the eye box, which is deep: rays through its corners meet the plane outside it.
     stage = (nominal.stage.origin + rng.uniform(-0.007, 0.007, (CAPTURES, 3)) * [1, 1, 0])[capture]
     pixel = rng.uniform([300, 220], [980, 800], (len(capture), 2))
-    common = (capture, 40.0 * capture, np.ones(len(capture)), stage)
+    common = (capture, np.asarray(40.0 * capture), np.ones(len(capture)), stage)
     display = DisplayPlan(*common, np.ones_like(capture), pixel)
     pose = capture % 2
     dot = rng.uniform(-0.16, 0.16, (len(capture), 2)) * (1 + pose[:, None])
@@ -126,7 +126,8 @@ def test_what_a_session_does_not_have_is_named_and_left_out(
 
 
 def test_targets_at_one_depth_determine_no_see_through_model(nominal: Bench, plan: SessionPlan) -> None:
-    near = select_rows(plan.see_through, present(plan.see_through).target_pose == 0)
+    seen = present(plan.see_through)
+    near = select_rows(seen, seen.target_pose == 0)
     alone = SessionPlan(see_through=near)
     found = improvement_in_use(nominal, nominal, Session("night", alone, simulate(nominal, alone)))
     assert found.see_through is None

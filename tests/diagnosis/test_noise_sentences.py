@@ -1,9 +1,9 @@
 """How a bench's repeatability and noise are put into words."""
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
-from wlr_render.diagnosis.diagnosis import MotionSize
+from wlr_render.diagnosis.diagnosis import DiagnosisRecord, MotionSize
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.verdict_sentences import bench_sentence
 
@@ -15,7 +15,8 @@ def floor(part: str, measured: float = 0.108, error: float = 0.001, **shape: Any
 
 
 def sentence(floors: tuple[Any, ...], motions: tuple[MotionSize, ...] = ()) -> str:
-    return bench_sentence(SimpleNamespace(noise_floors=floors, motions=motions, verdict="explained"))
+    record = SimpleNamespace(noise_floors=floors, motions=motions, verdict="explained")
+    return bench_sentence(cast(DiagnosisRecord, record))  # it takes nothing else from a record
 
 
 def test_each_part_has_a_sentence_with_its_repeatability_and_the_shape_of_its_noise() -> None:

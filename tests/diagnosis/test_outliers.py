@@ -90,7 +90,7 @@ def test_nothing_moved_in_a_clean_session(bench: Bench, plan: SessionPlan, seed:
 
 def test_a_cause_that_moves_every_photograph_sets_none_aside(bench: Bench, plan: SessionPlan) -> None:
     for causes in ({"camera_rotation": [0.3, 0.3, 0.3]}, {"stage_scale": [1.0, 1.0, 1.0]}):
-        assert found_in(measured(bench, plan, SIGMA_PX, **causes)) == []
+        assert found_in(measured(bench, plan, SIGMA_PX, 0, **causes)) == []
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])

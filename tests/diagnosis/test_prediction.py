@@ -148,7 +148,7 @@ def test_added_columns_are_those_of_the_whole(predictor: Predictor) -> None:
 
 @pytest.mark.parametrize(("name", "units"), [("camera_pupil_offset", 1e-3), ("camera_rotation", np.degrees(1e-6))])
 def test_motions_of_the_camera_are_the_derivatives_by_the_causes_that_move_it(
-    predictor: Predictor, name, units
+    predictor: Predictor, name: str, units: float
 ) -> None:
     at = predictor.signature(hypothesis(name))
     by_cause = at.jacobian / at.explanation.prior_sigma * units
@@ -206,7 +206,8 @@ def test_a_cause_of_other_colours_changes_the_readings(
     )
 
     def other_colours(old: Bench, share: FloatArray) -> Bench:
-        return replace(old, **{name: old_to_new(getattr(old, name), new, share[0]) for name, new in changes.items()})
+        mixed: dict[str, Any] = {name: old_to_new(getattr(old, name), new, share[0]) for name, new in changes.items()}
+        return replace(old, **mixed)
 
     at = Explanation().plus(Hypothesis(cause, "v"), np.ones(1))
     found, plain = predictor.state(at).readings, simulate(at.bench(bench), whole)

@@ -14,6 +14,7 @@ from present import present
 
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.session_folder import load_session
+from wlr_render.bench.simulate_session import Views, simulate
 from wlr_render.captures.session import DisplayPlan, Readings, SessionPlan
 from wlr_render.diagnosis import prediction
 from wlr_render.diagnosis.diagnosis import EXPLAINED, LOCATED, NO_EFFECT
@@ -129,13 +130,13 @@ def test_clean_sessions_with_more_noise_than_stated_are_not_unexplained(
 
 
 def test_the_nominal_bench_is_simulated_once(bench: Bench, plan: SessionPlan, monkeypatch: pytest.MonkeyPatch) -> None:
-    observations, count = measured(bench, plan, SIGMA_PX, seed=32), []
-    simulate = prediction.simulate
+    observations = measured(bench, plan, SIGMA_PX, seed=32)
+    count: list[Bench] = []
 
-    def counted(which, what, *others: object) -> Readings:
+    def counted(which: Bench, what: SessionPlan, views: Views | None = None) -> Readings:
         if which is bench and what.display is not None:
             count.append(which)
-        return simulate(which, what, *others)
+        return simulate(which, what, views)
 
     monkeypatch.setattr(prediction, "simulate", counted)
     diagnosed(observations, ("target_scale",))

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis.small_session import measured, scatter_of, weighed
-from numpy.typing import ArrayLike
 
 from wlr_render.bench.bench import Bench
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.observations import DISPLAY
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.scatter import (
     Scatter,
     ScatterSums,
@@ -53,8 +52,8 @@ def drawn() -> tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray]:
     return sums, scatter, y.ravel(), columns.reshape(90, 3), variance
 
 
-def density(y: FloatArray, variance: FloatArray):
-    return y @ np.linalg.solve(variance, y) + np.linalg.slogdet(variance)[1]
+def density(y: FloatArray, variance: FloatArray) -> float:
+    return float(y @ np.linalg.solve(variance, y) + np.linalg.slogdet(variance)[1])
 
 
 def test_motions_are_integrated_out_exactly(
@@ -159,7 +158,7 @@ def sums_of(
     rng: np.random.Generator,
     shift_um: float,
     turn_urad: float,
-    moved: ArrayLike = (),
+    moved: tuple[int, ...] | IntArray = (),
     noise_dof: float = 5.0,
     motion_dof: float = 4.0,
 ) -> ScatterSums:

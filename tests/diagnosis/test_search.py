@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from present import present
 
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.simulate_session import simulate
-from wlr_render.captures.session import Session, SessionPlan, StagePlan
+from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
 from wlr_render.diagnosis.cause_selection import CandidateRanking, Search, Selection
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import fit, reduced_chi_squared, times_between_captures
@@ -29,6 +29,8 @@ from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.screening import Signatures, best_fit, hypotheses, screen
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.numerics.scatter import Scatter
+
+Part = TypeVar("Part", DisplayPlan, SeeThroughPlan)
 
 NAMES = ("combiner_tilt", "panel_shift", "target_scale", "stage_scale")
 
@@ -223,7 +225,7 @@ def test_without_a_moment_between_captures_nothing_can_have_slipped(
 ) -> None:
     """A lab may write the same time for all captures; with two times there is no moment away from either end."""
 
-    def at_few_times(part: StagePlan | None) -> StagePlan:
+    def at_few_times(part: Part | None) -> Part:
         assert part is not None
         return replace(part, time_s=np.asarray(part.capture % times * 40.0))
 

@@ -5,7 +5,7 @@ The shapes are plane waves, humps and steps; the fields are polynomials.
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from present import present
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_effects import BENCH_KINDS, RUN_TIME_KINDS, BenchEffect
 from wlr_render.bench.simulate_session import simulate
-from wlr_render.captures.session import Readings, Session, SessionPlan, StagePlan
+from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan, StagePlan
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.effect_findings import station_effects
@@ -30,8 +30,10 @@ from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
 
+Part = TypeVar("Part", DisplayPlan, SeeThroughPlan)
 
-def wave(variable: FloatArray | int | None, period: float) -> NDArray[Any]:
+
+def wave(variable: FloatArray, period: float) -> FloatArray:
     return np.sin(2 * np.pi * variable / period)
 
 
@@ -51,7 +53,7 @@ def bent_panel(bench: Bench, plan: SessionPlan) -> Readings:
     return replace(read, panel_pixel=read.panel_pixel + beside(off))
 
 
-def misread_stripes(bench, plan) -> Readings:
+def misread_stripes(bench: Bench, plan: SessionPlan) -> Readings:
     """A few of every 64 pixels are off, as where one stripe of a Gray code is misread."""
     read = simulate(bench, plan)
     off = np.where(np.mod(present(read.panel_pixel)[:, 0], 64) < 5, 3.0, 0.0)
@@ -61,64 +63,63 @@ def misread_stripes(bench, plan) -> Readings:
 def fringes(bench: Bench, plan: SessionPlan) -> Readings:
     """Fringes of 37 pixels whose profile is no sine: decoded positions swing once and twice a fringe."""
     read = simulate(bench, plan)
-    off = 0.8 * wave(read.panel_pixel + 11, 37) + 0.2 * wave(read.panel_pixel, 18.5)
-    return replace(read, panel_pixel=present(read.panel_pixel) + off)
+    shown = present(read.panel_pixel)
+    off = 0.8 * wave(shown + 11, 37) + 0.2 * wave(shown, 18.5)
+    return replace(read, panel_pixel=shown + off)
 
 
-def magnified_red(bench, plan) -> Readings:
+def magnified_red(bench: Bench, plan: SessionPlan) -> Readings:
     read = simulate(bench, plan)
-    off = 0.6 * (plan.display.channel == 0) * (present(read.panel_pixel)[:, 0] - 700) / 500
+    off = 0.6 * (present(plan.display).channel == 0) * (present(read.panel_pixel)[:, 0] - 700) / 500
     return replace(read, panel_pixel=read.panel_pixel + beside(off))
 
 
-def lens(bench, plan) -> Readings:
+def lens(bench: Bench, plan: SessionPlan) -> Readings:
     """Waves over the camera's image, as of a lens that is not radial."""
 
     def off(pixel: FloatArray | None) -> FloatArray:
         return 0.4 * beside(wave(present(pixel)[:, 0], 700) * wave(present(pixel)[:, 1], 600))
 
-    imaged = replace(
-        plan, display=replace(plan.display, camera_pixel=plan.display.camera_pixel - off(plan.display.camera_pixel))
-    )
+    shown = present(plan.display)
+    imaged = replace(plan, display=replace(shown, camera_pixel=shown.camera_pixel - off(shown.camera_pixel)))
     read = simulate(bench, imaged)
     return replace(read, dot_pixel=present(read.dot_pixel) + off(read.dot_pixel))
 
 
 def at_stage(bench: Bench, plan: SessionPlan, error: Callable[..., Any]) -> Readings:
     """The camera stands elsewhere than the stage says, in both parts."""
-    tables = [
-        replace(present(table), stage=present(table).stage + error(table)) for table in (plan.display, plan.see_through)
-    ]
-    return simulate(bench, SessionPlan(*tables))
+    shown, seen = present(plan.display), present(plan.see_through)
+    moved = SessionPlan(replace(shown, stage=shown.stage + error(shown)), replace(seen, stage=seen.stage + error(seen)))
+    return simulate(bench, moved)
 
 
 def screw(bench: Bench, plan: SessionPlan) -> Readings:
     """A stage whose screw of 1.6 mm lead errs by 60 um once a turn, by 15 um twice a turn, and in its mean lead."""
 
-    def error(table):
+    def error(table: StagePlan) -> FloatArray:
         x = table.stage[:, :1]
         turns = 6e-5 * wave(x + 2e-4, 1.6e-3) + 1.5e-5 * wave(x, 0.8e-3) + 2e-3 * (x - x.mean())
-        return turns * [1.0, 0.0, 0.0]
+        return np.asarray(turns * [1.0, 0.0, 0.0])
 
     return at_stage(bench, plan, error)
 
 
-def hump(bench, plan) -> Readings:
+def hump(bench: Bench, plan: SessionPlan) -> Readings:
     """A stage that is bent by 100 micrometres."""
     return at_stage(
         bench, plan, lambda table: 1e-4 * ((table.stage[:, :1] - bench.stage.origin[0]) / 4e-3) ** 2 * [0, 1, 0]
     )
 
 
-def swing(bench, plan) -> Readings:
+def swing(bench: Bench, plan: SessionPlan) -> Readings:
     """The camera swings by 100 micrometres as the room warms and cools."""
     return at_stage(bench, plan, lambda table: 1e-4 * wave(table.time_s[:, None], 1300.0) * [0.0, 0.0, 1.0])
 
 
-def warped_print(bench, plan) -> Readings:
-    dots = plan.see_through.dot
-    off = 4e-4 * beside(wave(dots[:, 0], 0.25) * wave(dots[:, 1] + 0.03, 0.3))
-    return simulate(bench, replace(plan, see_through=replace(plan.see_through, dot=dots + off)))
+def warped_print(bench: Bench, plan: SessionPlan) -> Readings:
+    seen = present(plan.see_through)
+    off = 4e-4 * beside(wave(seen.dot[:, 0], 0.25) * wave(seen.dot[:, 1] + 0.03, 0.3))
+    return simulate(bench, replace(plan, see_through=replace(seen, dot=seen.dot + off)))
 
 
 def dent(bench: Bench, plan: SessionPlan) -> Readings:
@@ -181,7 +182,7 @@ def test_other_readings_get_the_periods_that_were_found(bench: Bench, plan: Sess
 def test_the_period_of_a_screw_is_found_between_those_that_are_tried_first(bench: Bench, plan: SessionPlan) -> None:
     """At places off the raster, where the nearest of these is 1.625 mm."""
 
-    def off_raster(table: StagePlan | None) -> StagePlan:
+    def off_raster(table: Part | None) -> Part:
         assert table is not None
         rng, number = np.random.default_rng(8), np.unique(table.time_s, return_inverse=True)[1]
         x = 4e-3 * rng.uniform(-1.0, 1.0, number.max() + 1)
@@ -276,7 +277,7 @@ def test_the_mean_of_a_drift_is_a_cause_elsewhere_only_if_it_is_much_larger(
 ) -> None:
     """A camera that swings in the course of the session, about a place beside the stated one."""
 
-    def off(table) -> FloatArray:
+    def off(table: StagePlan) -> FloatArray:
         return 1e-4 * (share + wave(table.time_s[:, None], 1300.0)) * [0.0, 0.0, 1.0]
 
     won = contest(bench, plan, at_stage(bench, plan, off), explanation(camera_pupil_offset=[0.0, 0.0, 0.1 * share]))
@@ -352,7 +353,7 @@ def test_every_cause_has_a_station_that_a_session_shows(bench: Bench, plan: Sess
 
 @pytest.mark.parametrize("session", ["bench", "run time"])
 def test_a_bench_with_an_effect_reads_what_the_field_says(
-    bench, plan: SessionPlan, run_time: SessionPlan, session: str
+    bench: Bench, plan: SessionPlan, run_time: SessionPlan, session: str
 ) -> None:
     """Every field that a file can state, with small random coefficients: to first order the bench does the same."""
     readings = weighed(measured(bench, plan if session == "bench" else run_time, SIGMA_PX, seed=2))
@@ -377,7 +378,7 @@ def test_a_bench_with_an_effect_reads_what_the_field_says(
 def test_a_far_smaller_effect_may_be_the_rest_of_a_large_one(bench: Bench, plan: SessionPlan) -> None:
     """Large waves over the panel, and a camera that swings a little."""
 
-    def off(table) -> FloatArray:
+    def off(table: StagePlan) -> FloatArray:
         return 6e-5 * wave(table.time_s[:, None], 1300.0) * [0.0, 0.0, 1.0]
 
     read = at_stage(bench, plan, off)
@@ -398,7 +399,7 @@ def test_a_far_smaller_effect_may_be_the_rest_of_a_large_one(bench: Bench, plan:
 def test_effects_are_fitted_as_the_bench_does_them_where_it_is_not_linear(bench: Bench, run_time: SessionPlan) -> None:
     """The pupil is far from where it is tracked."""
 
-    def off(gaze) -> NDArray[Any]:
+    def off(gaze: FloatArray) -> FloatArray:
         return np.stack([3.0 * wave(gaze[:, 0], 1.1), -2.0 * gaze[:, 1], np.zeros(len(gaze))], axis=1)
 
     true = BenchEffect.of_function("eye tracking", "pupil by gaze", off, (-1.0, -1.0), (1.0, 1.0))

@@ -80,7 +80,9 @@ def test_an_installed_package_adds_its_causes(bench: Bench, tmp_path: Path, monk
         ('variants={"v"', 'variants={} and {"v"', r"'lens_hood' has no variants"),
     ],
 )
-def test_faulty_files_of_causes_are_refused_in_a_sentence(bench: Bench, own, old: str, new: str, sentence: str) -> None:
+def test_faulty_files_of_causes_are_refused_in_a_sentence(
+    bench: Bench, own: Callable[[str], str], old: str, new: str, sentence: str
+) -> None:
     assert old in GOOD
     with pytest.raises(BadInputError, match=sentence):
         causes_for(bench, [own(GOOD.replace(old, new, 1))])
@@ -144,7 +146,7 @@ def test_the_documented_example_is_a_cause_and_the_list_is_complete(bench: Bench
     ],
 )
 def test_a_cause_whose_null_values_change_the_bench_is_refused(
-    bench, own: Callable[[str], str], change: str, where: str
+    bench: Bench, own: Callable[[str], str], change: str, where: str
 ) -> None:
     given = replace(bench, stage=replace(bench.stage, backlash=np.zeros(2)))
     text = GOOD.replace('changed("camera", "centre_px", lambda old, deg: old + deg)', change).replace(

@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis import tables
+from wlr_render.diagnosis.cause import Perturb
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate, Unexplained
 from wlr_render.diagnosis.held_out import HeldOutImprovement
@@ -27,6 +27,7 @@ from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.diagnosis.verdict_sentences import advice, bench_sentence, value_text, values_to_type, verdict_sentence
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import Summary
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import cell_text
 
 OTHER = "tracking_translation"
@@ -145,8 +146,8 @@ def test_a_cause_that_fails_beside_its_value_leaves_the_report(explained: Diagno
     place = explanation.names.index("target_scale")
     hypothesis, found = explanation.hypotheses[place], explanation.values[place]
 
-    def refusing(perturb: Callable[..., Any]) -> Callable[[Any, Any], Any]:
-        def limited(bench: Bench, values: Any) -> Bench:
+    def refusing(perturb: Perturb) -> Perturb:
+        def limited(bench: Bench, values: FloatArray) -> Bench:
             if np.any(values > found) or (fails == "beside" and np.any(values < found)):
                 raise BadInputError("cause 'target_scale' fails in its variant 'as a whole' (ValueError: limit).")
             return perturb(bench, values)

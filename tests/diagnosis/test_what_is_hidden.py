@@ -28,11 +28,11 @@ SETTINGS = Settings(subsample=1200)
 """About a third of the readings, as in a session of full size."""
 
 
-def small(device: str, channels: tuple[int] = (1,)) -> Plan:
+def small(device: str, channels: tuple[int, ...] = (1,)) -> Plan:
     return Plan(device, grid=(9, 7), dots=(8, 5), nodes=4, off_plane=12, channels=channels)
 
 
-def diagnosed(plan: RunTimePlan, *effects: object, causes: Mapping[Any, Any] = CAUSES) -> Diagnosis:
+def diagnosed(plan: Plan | RunTimePlan, *effects: Effect, causes: Mapping[Any, Any] = CAUSES) -> Diagnosis:
     return diagnose(*observed(plan, effects, np.random.default_rng(1)), causes=causes, settings=SETTINGS)
 
 
@@ -40,7 +40,7 @@ def names(said: Diagnosis) -> set[Any]:
     return {cause.name for cause in said.causes}
 
 
-def check_explained(said: Diagnosis, plan: Plan | RunTimePlan, *effects: object) -> None:
+def check_explained(said: Diagnosis, plan: Plan | RunTimePlan, *effects: Effect) -> None:
     """Exactly the hidden effects, down to the noise, with values whose error bars hold the truth."""
     assert names(said) == {effect.name for effect in effects}
     assert said.verdict == EXPLAINED

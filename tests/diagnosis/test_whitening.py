@@ -26,7 +26,7 @@ def test_groups_with_common_errors_become_independent() -> None:
     white = Whitening(np.ones(9)).then(rows, effects)
     covariance = np.eye(18).reshape(9, 2, 9, 2)
     for mine, effect in zip(rows, effects, strict=True):
-        covariance[np.ix_(mine, [0, 1], mine, [0, 1])] += np.einsum("aik,bjk->aibj", effect, effect)
+        covariance[np.ix_(mine, np.arange(2), mine, np.arange(2))] += np.einsum("aik,bjk->aibj", effect, effect)
     found = matrix(white, 9)
     np.testing.assert_allclose(found @ covariance.reshape(18, 18) @ found.T, np.eye(18), atol=1e-9)
     values = rng.normal(size=(9, 2))
@@ -78,7 +78,8 @@ def test_a_field_that_neighbours_share_is_whitened(bench: Bench, plan: SessionPl
     white = shared_noise_whitening(observations, weighed(observations, share, reach).noise)
     place = observations.image_place - observations.image_place.mean(axis=0)
     design = np.column_stack([np.ones(len(place)), place])
-    raw, left = [], []
+    raw: list[FloatArray] = []
+    left: list[FloatArray] = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
         field = smooth_field(observations.image_place, observations.photograph, reach, rng)
