@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import gl_scenes
+import moderngl
 import numpy as np
 import pytest
 from fitted_eyes import fitted_eye
@@ -108,3 +110,15 @@ def misplaced_arcmin(
     """Angle at the eye between the world points that a composed frame and the ray-traced one show; with a pull map."""
     shown = position_of_source(camera.view, with_inverse_depth(source.read(camera.view), composed.source(camera.eye)))
     return raster_error(shown, truth.position, transforms.apply(pose, at_viewpoint)).registration_arcmin
+
+
+def programs_compiled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """Shaders of each program that ModernGL compiles from now on."""
+    compiled, compile_program = [], moderngl.Context.program
+
+    def counted(context: moderngl.Context, **shaders: Any) -> moderngl.Program:
+        compiled.append(shaders)
+        return compile_program(context, **shaders)
+
+    monkeypatch.setattr(moderngl.Context, "program", counted)
+    return compiled

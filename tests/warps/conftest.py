@@ -3,7 +3,7 @@
 A folder `warp` would hide that the library of this name is not installed: Python takes it for a package.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import moderngl
@@ -29,7 +29,7 @@ def compositor(request: pytest.FixtureRequest) -> Iterator[Callable[..., Any]]:
     made = []
 
     def make(
-        models: Eye | Sequence[Eye] | dict[str, Any],
+        models: Eye | Mapping[str, Eye | Sequence[Eye]],
         size: tuple[int, int] = SMALL,
         context: moderngl.Context | str | None = None,
         **options: Any,

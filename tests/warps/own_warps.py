@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
+import moderngl
 import numpy as np
 from numpy.typing import NDArray
 from warps.composing import HEAD
@@ -33,7 +34,7 @@ def hit(origin: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArra
     origin, direction = transforms.apply(_HEAD_FROM_WORLD, origin), transforms.rotate(_HEAD_FROM_WORLD, direction)
     on_card = origin - direction * ((origin[..., 2:] + CARD_M) / direction[..., 2:])
     on_wall = origin - direction * ((origin[..., 2:] + WALL_M) / direction[..., 2:])
-    is_card = ((on_card[..., :2] > CARD[:, 0]) & (on_card[..., :2] < CARD[:, 1])).all(axis=-1)
+    is_card: BoolArray = np.all((on_card[..., :2] > CARD[:, 0]) & (on_card[..., :2] < CARD[:, 1]), axis=-1)
     return transforms.apply(HEAD, np.where(is_card[..., None], on_card, on_wall)), is_card
 
 
@@ -81,7 +82,7 @@ def expected_source(
     source = camera.view.camera.pixel_of_tangents(in_camera[..., :2] / -in_camera[..., 2:])
     width, height = camera.size_px
     _, shows_card = seen_by(camera, WarpGrid.of_pixels(Panel(width, height)).panel_pixel())
-    known = ((source > 2) & (source < [width - 2, height - 2])).all(axis=-1)
+    known: BoolArray = np.all((source > 2) & (source < [width - 2, height - 2]), axis=-1)
     column, row = (
         np.where(known[..., None], source, 2).astype(int)[..., 0],
         np.where(known, source[..., 1], 2).astype(int),
@@ -147,7 +148,9 @@ class OpenGl:
             framebuffer.clear()
             vertices.render()
             answer = gl.read(target, np.float32)[..., :3]
-            for made in (vertices, program, picture, depths, uniforms, *buffers):
+            owned: list[moderngl.VertexArray | moderngl.Program | moderngl.Texture | moderngl.Buffer]
+            owned = [vertices, program, picture, depths, uniforms, *buffers]
+            for made in owned:
                 made.release()
         return answer
 

@@ -1,8 +1,11 @@
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
+from flat_image import FlatImage
+from present import narrowed
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -25,17 +28,16 @@ def left_of(eye: Eye) -> Eye:
 def test_one_eye_needs_no_name_and_the_left_one_comes_first(flat_image_headset: Eye) -> None:
     assert checked_models(flat_image_headset) == {"right": (flat_image_headset,)}
     assert checked_models([flat_image_headset] * 3) == {"right": (flat_image_headset,) * 3}
-    both = {"right": flat_image_headset, "left": [left_of(flat_image_headset)] * 3}
+    both: dict[str, Eye | Sequence[Eye]] = {"right": flat_image_headset, "left": [left_of(flat_image_headset)] * 3}
     assert [(eye, len(channels)) for eye, channels in checked_models(both).items()] == [("left", 3), ("right", 1)]
 
 
 def test_models_that_do_not_belong_together_are_refused(flat_image_headset: Eye) -> None:
-    wide = dataclasses.replace(flat_image_headset.display, panel=Panel(7, 5))
+    wide = dataclasses.replace(narrowed(flat_image_headset.display, FlatImage), panel=Panel(7, 5))
     other_panel = dataclasses.replace(flat_image_headset, display=wide)
     elsewhere = dataclasses.replace(flat_image_headset.eye_box, centre=flat_image_headset.eye_box.centre + 0.001)
     moved = dataclasses.replace(flat_image_headset, eye_box=elsewhere)
-    models: Any
-    for models, words in (
+    wrong: tuple[tuple[Any, str], ...] = (
         ({}, "'left', 'right' or both"),
         ({"middle": flat_image_headset}, "middle"),
         ({"right": [flat_image_headset] * 2}, "2 models"),
@@ -43,7 +45,8 @@ def test_models_that_do_not_belong_together_are_refused(flat_image_headset: Eye)
         ((flat_image_headset, moved, flat_image_headset), "eye box is not that"),
         (None, "NoneType is not a model"),
         ({"right": [flat_image_headset, "green", flat_image_headset]}, "str is not a model"),
-    ):
+    )
+    for models, words in wrong:
         with pytest.raises(BadInputError, match=words):
             checked_models(models)
 
@@ -51,14 +54,15 @@ def test_models_that_do_not_belong_together_are_refused(flat_image_headset: Eye)
 @pytest.mark.parametrize(
     "size", [(0, 5), (4.5, 3), (5,), 5, (5, 4, 3), (-2, 2), (np.nan, 2), (np.inf, 2), "360x400"], ids=str
 )
-def test_a_size_that_is_none_is_refused(size: int | str | tuple[float, ...]) -> None:
+def test_a_size_that_is_none_is_refused(size: Any) -> None:
     with pytest.raises(BadInputError, match="width, height"):
         checked_size(size)
 
 
 @pytest.mark.parametrize("colour", [(0, 0, 256), (0, -1, 0), (0.5, 0.5, 0.5), (1, 2), "red", None], ids=str)
 def test_a_background_that_is_no_colour_is_refused(colour: Any) -> None:
-    assert checked_background(np.array([1, 2, 255], np.uint8)) == (1, 2, 255)
+    codes: Any = np.array([1, 2, 255], np.uint8)
+    assert checked_background(codes) == (1, 2, 255)
     with pytest.raises(BadInputError, match=r"sRGB codes|not made of numbers"):
         checked_background(colour)
 
@@ -116,11 +120,12 @@ def test_viewpoints_are_given_by_eye(flat_image_headset: Eye) -> None:
     models = checked_models({"right": flat_image_headset, "left": left_of(flat_image_headset)})
     centre = flat_image_headset.eye_box.centre
     assert [*checked_viewpoints({"right": centre}, models)] == ["right"]
-    for viewpoint, words in (
+    wrong: tuple[tuple[Any, str], ...] = (
         (centre, "two eyes"),
         ({}, "no viewpoint of the left eye"),
         ({"left": centre, "right": [0, 0, np.nan]}, "finite"),
         ({"left": centre, "right": "here"}, "number"),
-    ):
+    )
+    for viewpoint, words in wrong:
         with pytest.raises(BadInputError, match=words):
             checked_viewpoints(viewpoint, models)

@@ -1,11 +1,14 @@
 import dataclasses
+from typing import cast
 
 import numpy as np
 import pytest
 from fitted_eyes import fitted_eye
+from present import narrowed
+from toy_headsets import CurvedImage, LateralOffset
 
 from wlr_render.geometry import directions
-from wlr_render.mappings import Eye, Panel, QueryResult
+from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.choose_grid import (
     TOLERANCE_ARCMIN,
@@ -32,7 +35,7 @@ class CubicImage:
 
 
 def cubic_eye(toy_headset: Eye, bent: float) -> Eye:
-    return Eye("cubic", "right", CubicImage(bent), toy_headset.see_through, toy_headset.eye_box)
+    return Eye("cubic", "right", cast(DisplayMapping, CubicImage(bent)), toy_headset.see_through, toy_headset.eye_box)
 
 
 def test_the_error_of_a_cubic_field_is_its_third_difference(toy_headset: Eye) -> None:
@@ -42,7 +45,8 @@ def test_the_error_of_a_cubic_field_is_its_third_difference(toy_headset: Eye) ->
     error = warp_grid_error_arcmin(eye, np.eye(3), warp_grid, eye.eye_box.centre, near_axis)
     # x (1 - x) (2 x - 1) / 6 of the third difference, which is 6 times the coefficient.
     tangent = 0.25 * 0.75 * 0.5 / 6 * 6 * 3.0 * (cell * 1e-3) ** 3
-    straight = 0.125 * 6 * 0.01 * eye.see_through.offset_m * 3.0 * (cell * 1e-3) ** 2  # of the offset, not corrected
+    offset_m = narrowed(eye.see_through, LateralOffset).offset_m
+    straight = 0.125 * 6 * 0.01 * offset_m * 3.0 * (cell * 1e-3) ** 2  # of the offset, not corrected
     expected = np.array([tangent, 0, 0]) / directions.ARCMIN
     np.testing.assert_allclose(error, expected, atol=0.1 * expected[0] + straight / NEAREST_M / directions.ARCMIN)
     assert error[0] > 0.9 * expected[0]
@@ -104,7 +108,7 @@ def test_unsolved_points_are_reported_and_not_in_the_error(toy_headset: Eye, toy
 
 
 def test_a_panel_that_is_not_seen_at_all_is_known_nowhere(toy_headset: Eye) -> None:
-    hidden = dataclasses.replace(toy_headset.display, hole_px=1e4)
+    hidden = dataclasses.replace(narrowed(toy_headset.display, CurvedImage), hole_px=1e4)
     chosen = choose_warp_grid(dataclasses.replace(toy_headset, display=hidden), np.eye(3))
     assert chosen.hole_share == 1
     assert chosen.bound_arcmin == np.inf

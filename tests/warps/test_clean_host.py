@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gl_caller import Caller, assert_same
+from gl_caller import Caller, assert_same, make_current
 from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
@@ -29,7 +29,8 @@ def models(flat_image_headset: Eye) -> dict[str, Eye]:
 
 @pytest.fixture
 def clean(caller: Caller, compositor: Callable[..., Any], models: Mapping[str, Eye]) -> Compositor:
-    return compositor(models, context=caller.ctx, host_state="clean")
+    made: Compositor = compositor(models, context=caller.ctx, host_state="clean")
+    return made
 
 
 def seen(models: Mapping[str, Eye]) -> dict[str, FloatArray]:
@@ -50,7 +51,7 @@ def test_the_pictures_are_those_of_an_own_context_and_no_switch_changes(
     draw(own, SceneSource(own, scene()), HEAD, seen(models))
     frame = own.compose()
     expected = [frame.read(eye) for eye in own.eyes]
-    caller.ctx.__enter__()
+    make_current(caller.ctx)
     clean = compositor(models, context=caller.ctx, host_state="clean")
     assert switches(caller) == before
     source = SceneSource(clean, scene())
@@ -98,7 +99,7 @@ def test_pictures_by_number_and_layer(caller: Caller, clean: Compositor, models:
     drawn, depth = ctx.simple_framebuffer(size), ctx.depth_texture(size, np.full(size[::-1], 0.5, np.float32))
     for grey in (50, 90):
         pixels = np.full((*size[::-1], 4), grey, np.uint8)
-        drawn.clear(*[grey / 255] * 4, depth=0.5)
+        drawn.clear(grey / 255, grey / 255, grey / 255, grey / 255, depth=0.5)
         colours[0].write(np.stack([0 * pixels, pixels]))
         colours[1].write(pixels)
         for given in (

@@ -2,16 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from flat_image import PrismPlate
+from present import narrowed
 from warps.composing import HEAD, clear_of_edges, draw, planar, scene, traced, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.geometry import directions, transforms
-from wlr_render.mappings import Eye, Panel, QueryResult
+from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.composed_frame import ComposedFrame
 from wlr_render.warp.compositor import Compositor
@@ -20,7 +22,7 @@ from wlr_render.warp.raster_camera import EyePlan
 
 @pytest.mark.gl
 def test_each_colour_is_what_its_own_models_rays_meet(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
-    see_through = flat_image_headset.see_through
+    see_through = narrowed(flat_image_headset.see_through, PrismPlate)
     colours = [
         replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.02, 0.0, 0.02)
     ]
@@ -61,7 +63,7 @@ def test_three_models_alike_are_one(compositor: Callable[..., Any], flat_image_h
 class Rippled:
     """A display whose directions swing to and fro along the panel's rows."""
 
-    whole: object
+    whole: DisplayMapping
 
     @property
     def panel(self) -> Panel:
@@ -77,7 +79,7 @@ class Rippled:
 @pytest.mark.parametrize("place", range(3))
 def test_the_most_curved_colour_says_how_fine_the_lattice_is(flat_image_headset: Eye, place: int) -> None:
     colours = [flat_image_headset] * 3
-    colours[place] = replace(flat_image_headset, display=Rippled(flat_image_headset.display))
+    colours[place] = replace(flat_image_headset, display=cast(DisplayMapping, Rippled(flat_image_headset.display)))
     flat, together = (
         EyePlan.of(models, (72, 60), 1.0).warp_grid.cell_px for models in ((flat_image_headset,), tuple(colours))
     )

@@ -9,7 +9,9 @@ from typing import Any
 import moderngl
 import numpy as np
 import pytest
+from gl_caller import make_current, open_other
 from numpy.typing import NDArray
+from present import narrowed
 from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
@@ -29,7 +31,7 @@ DRAW_FRAMEBUFFER, COLOUR = 0x8CA9, 0x8CE0
 @pytest.fixture
 def theirs(gl_context: GlContext) -> Iterator[moderngl.Context]:
     """A caller's context; `gl_context` skips the test where there is no OpenGL."""
-    made = moderngl.create_context(standalone=True, require=430, backend="egl")
+    made = open_other()
     yield made
     made.release()
 
@@ -37,7 +39,7 @@ def theirs(gl_context: GlContext) -> Iterator[moderngl.Context]:
 @pytest.fixture
 def one_eye(theirs: moderngl.Context, compositor: Callable[..., Any], flat_image_headset: Eye) -> Compositor:
     """A compositor of one eye to which a frame was submitted."""
-    made = compositor(flat_image_headset, context=theirs)
+    made: Compositor = compositor(flat_image_headset, context=theirs)
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
     return made
 
@@ -45,7 +47,7 @@ def one_eye(theirs: moderngl.Context, compositor: Callable[..., Any], flat_image
 @pytest.fixture
 def two_eyes(theirs: moderngl.Context, compositor: Callable[..., Any], flat_image_headset: Eye) -> Compositor:
     models = {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
-    made = compositor(models, context=theirs)
+    made: Compositor = compositor(models, context=theirs)
     at = {"left": viewpoint(flat_image_headset, -0.7, 0, 0), "right": viewpoint(flat_image_headset, 0.7, 0, 0)}
     draw(made, SceneSource(made, scene()), HEAD, at)
     return made
@@ -70,7 +72,7 @@ def assert_same_but_for_rounding(shown: NDArray[np.uint8], expected: NDArray[np.
 
 def call(context: moderngl.Context, name: str, *arguments: ctypes.Array[ctypes.c_uint] | int) -> None:
     types = [ctypes.c_void_p if isinstance(each, ctypes.Array) else ctypes.c_uint for each in arguments]
-    return ctypes.CFUNCTYPE(None, *types)(context.mglo._context.load(name))(*arguments)
+    ctypes.CFUNCTYPE(None, *types)(context.mglo._context.load(name))(*arguments)
 
 
 def test_both_eyes_go_the_same_wherever_they_go(theirs: moderngl.Context, two_eyes: Compositor) -> None:
@@ -111,8 +113,8 @@ def test_only_the_first_colour_is_drawn_and_draw_buffers_come_back(
     assert [name[0] for name in found] == [*names, 0]
     np.testing.assert_array_equal(upright(given), expected)
     for k in (1, 2):
-        assert (np.frombuffer(given.color_attachments[k].read(), np.uint8) == 9 + k).all()
-    assert np.ptp(np.frombuffer(given.depth_attachment.read(), np.float32)) == 0
+        assert (np.frombuffer(narrowed(given.color_attachments[k], moderngl.Texture).read(), np.uint8) == 9 + k).all()
+    assert np.ptp(np.frombuffer(narrowed(given.depth_attachment, moderngl.Texture).read(), np.float32)) == 0
 
 
 def test_two_eyes_do_not_share_a_framebuffer_of_one_eyes_size(theirs: moderngl.Context, two_eyes: Compositor) -> None:
@@ -152,9 +154,9 @@ def test_layers_levels_and_samples_of_textures_are_targets(theirs: moderngl.Cont
         assert_same_but_for_rounding(shown, np.hstack([left, right]))
 
     sampled, plain = theirs.texture((2 * WIDTH, HEIGHT), 4, samples=4), theirs.simple_framebuffer((2 * WIDTH, HEIGHT))
-    for into in (sampled, theirs.framebuffer([sampled])):
+    for target in (sampled, theirs.framebuffer([sampled])):
         plain.clear()
-        two_eyes.compose(into)
+        two_eyes.compose(target)
         theirs.copy_framebuffer(plain, theirs.framebuffer([sampled]))
         assert_same_but_for_rounding(upright(plain), np.hstack([left, right]))
 
@@ -198,14 +200,15 @@ def test_a_slice_of_a_volume_and_a_face_of_a_cube_are_targets(
     made = compositor(flat_image_headset, SQUARE, context=theirs)
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
     expected = made.compose().read()
+    read: Callable[[], bytes]
     if kind == "volume":
         texture = theirs.texture3d((*SQUARE, 3), 4)
         number, read = attached(theirs, texture, layer=2), lambda: texture.read()[-4 * 60 * 60 :]
     else:
-        texture = theirs.texture_cube(SQUARE, 4)
-        number, read = attached(theirs, theirs.texture(SQUARE, 4)), lambda: texture.read(face=FACE - POSITIVE_X)
+        cube = theirs.texture_cube(SQUARE, 4)
+        number, read = attached(theirs, theirs.texture(SQUARE, 4)), lambda: cube.read(face=FACE - POSITIVE_X)
         call(theirs, "glBindFramebuffer", DRAW_FRAMEBUFFER, number)
-        call(theirs, "glFramebufferTexture2D", DRAW_FRAMEBUFFER, COLOUR, FACE, texture.glo, 0)
+        call(theirs, "glFramebufferTexture2D", DRAW_FRAMEBUFFER, COLOUR, FACE, cube.glo, 0)
     made.compose(number)
     shown = np.frombuffer(read(), np.uint8).reshape(60, 60, 4)[::-1, :, :3]
     np.testing.assert_array_equal(shown, expected)
@@ -233,9 +236,9 @@ def test_framebuffers_that_cannot_be_drawn_to_are_told_in_a_sentence(
     expected = one_eye.compose().read()
     released = theirs.simple_framebuffer(SMALL)
     released.release()
-    elsewhere = moderngl.create_context(standalone=True, require=430, backend="egl")
+    elsewhere = open_other()
     foreign, elsewhere_texture = elsewhere.simple_framebuffer(SMALL), elsewhere.texture(SMALL, 4)
-    theirs.__enter__()
+    make_current(theirs)
     for into, words in (
         (theirs.simple_framebuffer((HEIGHT, WIDTH)), "has 60 x 72 pixels, and 72 x 60 are needed"),
         (theirs.simple_framebuffer((2 * WIDTH, HEIGHT)), "144 x 60"),

@@ -54,10 +54,11 @@ def compared(
 ) -> tuple[FloatArray, IntArray]:
     """Misplacement and colour difference at pixels away from edges, for a frame drawn at HEAD and seen elsewhere."""
     drawn_at, (pose, seen_at) = viewpoint(mappings), seen
-    shown_for = {"pose": pose, "viewpoint": seen_at} if corrected else {}
     source = SceneSource(compositor, scene())
     (camera,) = draw(compositor, source, HEAD, drawn_at).values()
-    frame = compositor.compose(**shown_for, with_source=True)
+    frame = compositor.compose(
+        pose=pose if corrected else None, viewpoint=seen_at if corrected else None, with_source=True
+    )
     truth = traced(mappings, compositor.size_px, seen_at, pose, renderer)
     eye = transforms.apply(pose, seen_at)
     clear = clear_of_edges(truth, renderer, eye, camera.view.position_in_world, pose)

@@ -7,10 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NoReturn
 
-import moderngl
 import numpy as np
 import pytest
-from gl_caller import Caller
+from gl_caller import Caller, open_other
 from gl_scenes import at
 from warps.composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
 
@@ -77,7 +76,7 @@ def test_faulty_poses_and_viewpoints_leave_the_frame_as_it_was(
     away, unfinite = seen + [0.0, 0.02, 0.0], np.where(np.eye(4) > 0, np.nan, HEAD)
     poses = (unfinite, np.full((4, 4), np.inf), scaled(HEAD, 1.01), scaled(HEAD, -1.0), HEAD.T, HEAD[:3], HEAD[None])
     viewpoints = (away, seen * np.nan, seen[:2], {"left": seen}, np.stack([seen, seen]))
-    for fault in (
+    faults: tuple[Callable[[], object], ...] = (
         *(lambda pose=pose: made.begin_frame(pose, seen) for pose in poses),
         *(lambda pose=pose: made.compose(pose=pose) for pose in poses),
         *(lambda pose=pose: made.compose(pose_at_last_row=pose) for pose in poses),
@@ -85,7 +84,8 @@ def test_faulty_poses_and_viewpoints_leave_the_frame_as_it_was(
         *(lambda given=given: made.compose(viewpoint=given) for given in viewpoints),
         lambda: made.within_reach("left", seen),
         lambda: made.plan("left"),
-    ):
+    )
+    for fault in faults:
         with pytest.raises(BadInputError) as told:
             fault()
         assert str(told.value).count("\n") == 0
@@ -125,6 +125,7 @@ def test_a_released_compositor_says_so(flat_image_headset: Eye, compositor: Call
 @pytest.mark.gl
 def test_choices_that_are_none_are_told_in_a_sentence(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     compositor(flat_image_headset)
+    given: dict[str, Any] = {"models": flat_image_headset, "size": SMALL, "context": "auto"}
     for options, words in (
         ({"size": (0, 60)}, "size"),
         ({"size": (72, 60.5)}, "size"),
@@ -147,7 +148,7 @@ def test_choices_that_are_none_are_told_in_a_sentence(compositor: Callable[..., 
         ({"context": "vulkan"}, "choose from auto, egl, osmesa, current"),
     ):
         with pytest.raises(BadInputError, match=words):
-            Compositor(**{"models": flat_image_headset, "size": SMALL, "context": "auto"} | options)
+            Compositor(**given | options)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 2), (300, 5)])
@@ -222,7 +223,7 @@ def test_the_context_that_is_asked_for_is_used(
     compositor: Callable[..., Any], flat_image_headset: Eye, gl_context: GlContext
 ) -> None:
     assert compositor(flat_image_headset, context="auto").renderer == gl_context.renderer
-    theirs = moderngl.create_context(standalone=True, require=430, backend=gl_context.backend)
+    theirs = open_other(backend=gl_context.backend)
     current = compositor(flat_image_headset, context="current")
     assert current.renderer == theirs.info["GL_RENDERER"]
     current.release()
@@ -246,15 +247,17 @@ def test_after_a_lost_context_a_new_compositor_draws_the_same(
     compositor: Callable[..., Any], flat_image_headset: Eye, adopted: bool
 ) -> None:
     def made_anew() -> Compositor:
-        own = moderngl.create_context(standalone=True, require=410, backend="egl") if adopted else "egl"
-        return compositor(flat_image_headset, context=own)
+        own = open_other(410) if adopted else "egl"
+        made: Compositor = compositor(flat_image_headset, context=own)
+        return made
 
     lost, seen = made_anew(), viewpoint(flat_image_headset)
     draw(lost, SceneSource(lost, scene()), HEAD, seen)
     before = lost.compose().read()
     lost.context._errors._get_error = lambda: 0x0507  # GL_CONTEXT_LOST, for ever
     if adopted:
-        lost.context._owner._state._checks._errors._get_error = lambda: 0x0507
+        owner: Any = lost.context._owner
+        owner._state._checks._errors._get_error = lambda: 0x0507
     with pytest.raises(gl.GlError, match="the context is lost"):
         lost.compose()
     lost.release()

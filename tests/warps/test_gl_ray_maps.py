@@ -1,18 +1,20 @@
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
 from fitted_eyes import DEGREES, fitted_eye, fitted_terms
+from present import narrowed
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.gl.context import GlContext
 from wlr_render.mappings import Eye, Status
-from wlr_render.models.fitted_model import FittedModel
+from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.moved_panel import MovedPanelDisplay
+from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.warp.gl_ray_maps import GlPlanarSolver
@@ -21,9 +23,15 @@ from wlr_render.warp.ray_map import NEAREST_M, RayMap, middle_axes, solve_every_
 
 pytestmark = pytest.mark.gl
 
+Model = TypeVar("Model", DisplayModel, SeeThroughModel)
+
 SIZE = 45, 50
 DEVICES = "northstar", "freeform40", "birdbath28"
 PLACES = [0, 0, 0], [1, 1, 1], [-1, 0.6, -1], [0.3, -1, 0.9]
+
+
+def models_of(eye: Eye) -> tuple[DisplayModel, SeeThroughModel]:
+    return narrowed(eye.display, DisplayModel), narrowed(eye.see_through, SeeThroughModel)
 
 
 def picture(eye: Eye) -> WarpGrid:
@@ -59,18 +67,20 @@ def assert_same(field: RayMap, expected: RayMap) -> None:
 
 def with_planes_apart(eye: Eye) -> Eye:
     """The same display with a see-through whose base plane lies elsewhere: another mapping, not a better one."""
-    plane = BasePlane(eye.see_through.place.z - 0.001)
-    return dataclasses.replace(eye, see_through=dataclasses.replace(eye.see_through, place=plane))
+    see_through = narrowed(eye.see_through, SeeThroughModel)
+    plane = BasePlane(narrowed(see_through.place, BasePlane).z - 0.001)
+    return dataclasses.replace(eye, see_through=dataclasses.replace(see_through, place=plane))
 
 
 def with_planes_tilted(eye: Eye) -> Eye:
     """The same polynomials on tilted base planes through the eye box's centre: another mapping, not a better one."""
 
-    def tilted(mapping: FittedModel, slope: tuple[float, float]) -> FittedModel:
+    def tilted(mapping: Model, slope: tuple[float, float]) -> Model:
         plane = BasePlane(eye.eye_box.centre[2] - np.dot(slope, eye.eye_box.centre[:2]), slope)
         return dataclasses.replace(mapping, place=plane)
 
-    display, see_through = tilted(eye.display, (0.3, -0.2)), tilted(eye.see_through, (-0.1, 0.25))
+    display, see_through = models_of(eye)
+    display, see_through = tilted(display, (0.3, -0.2)), tilted(see_through, (-0.1, 0.25))
     return dataclasses.replace(eye, display=display, see_through=see_through)
 
 
@@ -79,7 +89,7 @@ def with_panel_moved(eye: Eye) -> Eye:
     return dataclasses.replace(eye, display=MovedPanelDisplay(eye.display, np.array([2.0, -1.5]), 2e-3))
 
 
-def narrowed(polynomial: Polynomial, low: FloatArray, high: FloatArray) -> Polynomial:
+def part_of(polynomial: Polynomial, low: FloatArray, high: FloatArray) -> Polynomial:
     """The same polynomial over a part of its box, given in box coordinates -1..1 (4,)."""
     centre, half = 0.5 * (polynomial.box.low + polynomial.box.high), 0.5 * (polynomial.box.high - polynomial.box.low)
     return fitted_terms(polynomial, Box(centre + low * half, centre + high * half), polynomial.orders)
@@ -115,11 +125,11 @@ def test_the_points_are_those_of_the_warp_grid(gl_context: GlContext, make: Call
 def test_status_is_that_of_the_float64_solve_where_the_fit_is_left(gl_context: GlContext, which: str) -> None:
     eye = fitted_eye("birdbath28", 3)
     share = np.array([-0.61, -1, -1, -0.83]), np.array([1, 0.57, 1, 0.71])
-    display, see_through = eye.display, eye.see_through
+    display, see_through = models_of(eye)
     if which == "display":
-        display = dataclasses.replace(display, forward=narrowed(display.forward, *share))
+        display = dataclasses.replace(display, forward=part_of(display.forward, *share))
     if which == "see_through":
-        see_through = dataclasses.replace(see_through, deviation=narrowed(see_through.deviation, *share))
+        see_through = dataclasses.replace(see_through, deviation=part_of(see_through.deviation, *share))
     eye = dataclasses.replace(eye, display=display, see_through=see_through)
     viewpoint = at(eye, [1.3, 0, 0] if which == "eye_box" else [0.4, 0.2, 0.8])
     field, exact = gl_solve(gl_context, eye).solve(viewpoint).read(), float64_field(eye, viewpoint)

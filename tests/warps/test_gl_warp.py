@@ -1,7 +1,9 @@
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 from gl_scenes import at, cube, lit, quad, unlit, view
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from present import present
 from warping import field_of_pixels, warp_pixels
 
@@ -20,7 +22,7 @@ pytestmark = pytest.mark.gl
 CAMERA = Pinhole(96, 80, np.array([-0.5, -0.35]), np.array([0.4, 0.4]))
 
 
-def bend_field(tangents: FloatArray, offset: ArrayLike = (0.0, 0.0)) -> Float32Array:
+def bend_field(tangents: FloatArray, offset: Iterable[float] = (0.0, 0.0)) -> Float32Array:
     """(4, height, width) of tangents (height, width, 2) with one offset (c, d) for all pixels."""
     c, d = (np.full(tangents.shape[:2], x) for x in offset)
     return np.stack([tangents[..., 0], tangents[..., 1], c, d]).astype(np.float32)
@@ -137,9 +139,9 @@ def test_colour_between_pixels_is_bilinear_in_linear_light(gl_context: GlContext
     np.testing.assert_allclose(warped.colour[:-1, :-1], expected, atol=1)
 
 
-def exact_code(light: Float32Array) -> FloatArray:
+def exact_code(light: FloatArray) -> FloatArray:
     """sRGB of linear light, 0 to 255, not rounded."""
-    light = np.clip(light.astype(float), 0, 1)
+    light = np.clip(light, 0, 1)
     return 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import moderngl
 import numpy as np
 import pytest
-from gl_caller import Caller, assert_same, run
+from gl_caller import Caller, assert_same, make_current, open_other, run
 from numpy.typing import NDArray
 from warps.composing import HEAD, SMALL, draw, scene, viewpoint
 
@@ -38,7 +38,7 @@ def test_two_eyes_through_odd_state_and_back(
     models = {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
     seen = {"left": viewpoint(flat_image_headset, -0.7, 0, 0), "right": viewpoint(flat_image_headset, 0.7, 0, 0)}
     expected = own_frame(compositor, models, seen)
-    caller.ctx.__enter__()
+    make_current(caller.ctx)
     screen = caller.ctx.simple_framebuffer((2 * SMALL[0], SMALL[1]))
     caller.set_odd_values()
     before = caller.state()
@@ -86,7 +86,7 @@ def test_faults_leave_the_state_and_the_next_frame_is_right(
 ) -> None:
     seen, wrong = viewpoint(flat_image_headset), caller.ctx.simple_framebuffer((3, 4))
     (expected,) = own_frame(compositor, flat_image_headset, seen)
-    caller.ctx.__enter__()
+    make_current(caller.ctx)
     made = compositor(flat_image_headset, context=caller.ctx)
     source = SceneSource(made, scene())
     caller.set_odd_values()
@@ -115,24 +115,24 @@ def test_faults_leave_the_state_and_the_next_frame_is_right(
 def test_a_context_that_is_not_current_is_refused_in_a_sentence(
     caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
 ) -> None:
-    third = moderngl.create_context(standalone=True, require=430, backend="egl")
-    caller.ctx.__enter__()
+    third = open_other()
+    make_current(caller.ctx)
     made = compositor(flat_image_headset, context=caller.ctx)
     source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
     (camera,) = draw(made, source, HEAD, seen).values()
     expected, image = made.compose().read(), source.read(camera.view)
     arrays = image.colour, np.where(image.inverse_depth > 0, 1 / image.inverse_depth, 0)
     made.begin_frame(HEAD, seen)
-    third.__enter__()
+    make_current(third)
     for call in (lambda: made.submit(*arrays), made.finish):
         with pytest.raises(BadInputError, match="is not current on this thread"):
             call()
-    caller.ctx.__enter__()
+    make_current(caller.ctx)
     made.submit(*arrays)
-    third.__enter__()
+    make_current(third)
     with pytest.raises(BadInputError, match="is not current on this thread"):
         made.compose()
-    caller.ctx.__enter__()
+    make_current(caller.ctx)
     difference = np.abs(made.compose().read().astype(int) - expected)
     assert (difference > 1).mean() < 0.002
     third.release()
@@ -141,14 +141,14 @@ def test_a_context_that_is_not_current_is_refused_in_a_sentence(
 def test_the_current_context_takes_its_own_programs_objects_and_no_others(
     caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
 ) -> None:
-    elsewhere = moderngl.create_context(standalone=True, require=410, backend="egl")
-    caller.ctx.__enter__()
+    elsewhere = open_other(410)
+    make_current(caller.ctx)
     made = compositor(flat_image_headset, context="current")
     (camera,) = made.begin_frame(HEAD, viewpoint(flat_image_headset)).values()
     width, height = camera.size_px
     with elsewhere:
         foreign = elsewhere.texture(camera.size_px, 4)
-    caller.ctx.__enter__()
+    make_current(caller.ctx)
     before = caller.state()
     grey, near = (np.full((height, width, n), value, kind) for n, value, kind in ((4, 128, "u1"), (1, 1, "f4")))
     colour, depth = caller.ctx.texture(camera.size_px, 4, grey), caller.ctx.texture(camera.size_px, 1, near, dtype="f4")
@@ -161,7 +161,7 @@ def test_the_current_context_takes_its_own_programs_objects_and_no_others(
     shown = np.frombuffer(screen.read(), np.uint8)
     assert (shown == 128).mean() > 0.9
     elsewhere.release()
-    caller.ctx.__enter__()
+    make_current(caller.ctx)
     made.begin_frame(HEAD, viewpoint(flat_image_headset))
     with pytest.raises(BadInputError, match="belongs to another ModernGL context"):
         made.submit(foreign, depth)
@@ -191,16 +191,16 @@ def test_adopting_while_samples_or_a_layer_are_bound(
 def test_release_where_the_context_is_not_current_warns_and_can_be_repeated(
     caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
 ) -> None:
-    caller.ctx.__enter__()
+    make_current(caller.ctx)
     before = caller.objects()
     made = compositor(flat_image_headset, context=caller.ctx)
     made.begin_frame(HEAD, viewpoint(flat_image_headset))
-    third = moderngl.create_context(standalone=True, require=410, backend="egl")
+    third = open_other(410)
     with pytest.warns(RuntimeWarning, match="not current on this thread, so that nothing was released") as told:
         made.release()
     assert told[0].filename == __file__
     third.release()
-    caller.ctx.__enter__()
+    make_current(caller.ctx)
     made.begin_frame(HEAD, viewpoint(flat_image_headset))
     made.release()
     assert caller.objects() == before

@@ -7,7 +7,8 @@ import moderngl
 import numpy as np
 import pytest
 from gl_scenes import at
-from warps.composing import HEAD, clear_of_edges, planar, scene, traced, viewpoint
+from present import narrowed
+from warps.composing import HEAD, clear_of_edges, planar, programs_compiled, scene, traced, viewpoint
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.draw.ray_tracing import RayRenderer
@@ -201,8 +202,8 @@ def test_insets_of_all_kinds_of_pictures(compositor: Callable[..., Any]) -> None
         srgb = ctx.texture(size, 3, upwards[0], alignment=1, internal_format=0x8C41)
         framebuffer = ctx.framebuffer([ctx.texture(size, 4)], ctx.depth_texture(size))
         rgba = np.concatenate([upwards[0], np.full((*size[::-1], 1), 255, np.uint8)], axis=-1)
-        framebuffer.color_attachments[0].write(rgba)
-        framebuffer.depth_attachment.write(upwards[1])
+        narrowed(framebuffer.color_attachments[0], moderngl.Texture).write(rgba)
+        narrowed(framebuffer.depth_attachment, moderngl.Texture).write(upwards[1])
     window = StoredDepth(DepthKind.WINDOW, np.inf, 1.0)
     shown = {}
     for name, given, stored in (
@@ -251,7 +252,7 @@ def test_insets_that_cannot_be_are_refused_and_the_frame_stays(
     expected = made.compose().read()
     left, right, up, down = camera.fov_rad
     small = 64, 64
-    for fov_rad, size, words in (
+    wrong_angles: tuple[tuple[Any, tuple[int, int], str], ...] = (
         ((left - 0.01, 0, up, 0), small, "keep it within"),
         ((0, right, up, down - 0.01), small, "keep it within"),
         ((left, right, up, down), camera.size_px, "pixels per unit tangent, and the picture around it"),
@@ -260,23 +261,21 @@ def test_insets_that_cannot_be_are_refused_and_the_frame_stays(
         ((0, 2.0, up, 0), small, "left < right"),
         ((0, right, up), small, r"give the angles \(left, right, up, down\)"),
         ("wide", small, "give the angles"),
-    ):
+    )
+    for fov_rad, size, words in wrong_angles:
         with pytest.raises(BadInputError, match=words):
             camera.inset(fov_rad, size)
     other = made.begin_frame(LATER, viewpoint(model))
     light, inverse = picture(inset)
     newer = inset_of(other["right"])
-    for given, named, words in (
-        ((light, inverse), {"inset": newer}, "does not show this frame"),
-        ((light, inverse), {"inset": inset}, "does not show this frame"),
-    ):
-        with pytest.raises(BadInputError, match=words):
-            made.submit(*given, stored=INVERSE, stored_colour=LINEAR, **named)
+    for unlike in (newer, inset):
+        with pytest.raises(BadInputError, match="does not show this frame"):
+            made.submit(light, inverse, stored=INVERSE, stored_colour=LINEAR, inset=unlike)
     submit(made, other["right"])
     expected = made.compose().read()
     theirs = EyeCamera("left", newer.view)
     raster = GlRaster(made.context, scene())
-    for given, named, words in (
+    faults: tuple[tuple[tuple[Any, ...], dict[str, Any], str], ...] = (
         ((light, inverse), {"inset": inset}, "not of the right eye in this frame"),
         ((light, inverse), {"inset": theirs}, "not of the right eye in this frame"),
         ((light, inverse), {"inset": "fovea"}, "give the camera from EyeCamera.inset"),
@@ -285,7 +284,8 @@ def test_insets_that_cannot_be_are_refused_and_the_frame_stays(
         ((light, inverse[:, :-1]), {"inset": newer}, "the camera"),
         ((None,), {"inset": newer}, "cannot be taken from a NoneType"),
         ((raster.draw_on_gpu(other["right"].view),), {"inset": newer}, "another camera"),
-    ):
+    )
+    for given, named, words in faults:
         with pytest.raises(BadInputError, match=words):
             made.submit(*given, stored=INVERSE, stored_colour=LINEAR, **named)
     np.testing.assert_array_equal(made.compose().read(), expected)
@@ -315,11 +315,7 @@ def test_prepared_compositors_compile_nothing_for_insets(
         target = ctx.simple_framebuffer(SIZE)
     submit(made, camera)
     submit(made, camera, inset_of(camera, 0.6, 2))
-    compiled = []
-    compile_program = moderngl.Context.program
-    monkeypatch.setattr(
-        moderngl.Context, "program", lambda *given, **named: compiled.append(named) or compile_program(*given, **named)
-    )
+    compiled = programs_compiled(monkeypatch)
     for into in (None, target):
         for last in (None, LATER):
             made.compose(into, pose_at_last_row=last)

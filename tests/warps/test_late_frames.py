@@ -5,6 +5,7 @@ import gc
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import moderngl
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from gl_caller import Caller, assert_same
 from gl_scenes import at
-from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
+from warps.composing import HEAD, SMALL, draw, planar, programs_compiled, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render import Compositor
@@ -148,7 +149,8 @@ def test_one_eye_may_be_begun_submitted_and_composed_alone(
     picture = alone.read()
     draw(made, source, HEAD, seen)
     np.testing.assert_array_equal(made.compose().read("left"), picture)
-    for eyes in ((), "left", ("middle",), 5):
+    wrong: tuple[Any, ...] = ((), "left", ("middle",), 5)
+    for eyes in wrong:
         with pytest.raises(BadInputError, match=r"give some of left, right|choose from left, right"):
             made.compose(eyes=eyes)
 
@@ -180,17 +182,17 @@ def test_an_overwritten_frame_is_refused_and_the_newest_is_not(
     for call in (old.read, old.status, old.source, old.texture, old.read_async):
         with pytest.raises(BadInputError, match="a later compose has overwritten this picture of the left eye"):
             call("left")
-    for call in (old.unsolved, lambda: old.read_into(np.zeros((SMALL[1], SMALL[0], 4), np.uint8), "left")):
+    read_into = partial(old.read_into, np.zeros((SMALL[1], SMALL[0], 4), np.uint8), "left")
+    for refused in (old.unsolved, read_into):
         with pytest.raises(BadInputError, match="has overwritten"):
-            call()
+            refused()
 
 
 def test_a_compositor_that_is_not_released_warns(flat_image_headset: Eye, caller: Caller) -> None:
     made = Compositor(flat_image_headset, SMALL, context=caller.ctx)
     with pytest.warns(ResourceWarning, match="Compositor was not released"):
-        made = None
+        del made
     gc.collect()
-    assert made is None
     for context in (caller.ctx, "auto"):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -212,11 +214,7 @@ def test_prepared_compositors_compile_nothing_later(
     draw(made, source, HEAD, viewpoint(planar()))
     with made.context.drawing() as ctx:
         target = ctx.simple_framebuffer(SMALL)
-    compiled = []
-    compile_program = moderngl.Context.program
-    monkeypatch.setattr(
-        moderngl.Context, "program", lambda *given, **named: compiled.append(named) or compile_program(*given, **named)
-    )
+    compiled = programs_compiled(monkeypatch)
     for into in (None, target):
         for last in (None, MOVED):
             made.compose(into, pose_at_last_row=last)
@@ -233,11 +231,7 @@ def test_prepared_compositors_compile_nothing_later(
 def test_layers_insets_and_kinds_of_frames_share_their_programs(
     compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    compiled: list[Any] = []
-    compile_program = moderngl.Context.program
-    monkeypatch.setattr(
-        moderngl.Context, "program", lambda *given, **named: compiled.append(named) or compile_program(*given, **named)
-    )
+    compiled = programs_compiled(monkeypatch)
     compositor(planar(), context="egl").prepare(overlays=4, insets=True)
     assert 0 < len(compiled) <= 17
 
@@ -358,13 +352,14 @@ def test_poses_and_pupils_are_predicted_from_the_last_two(
     np.testing.assert_array_equal(predicted, plain)
     stale = made.begin_frame(HEAD, seen, time_s=2.0, predict_s=0.1)
     np.testing.assert_array_equal(stale.world_from_device, HEAD)
-    for call, words in (
+    faults: tuple[tuple[Callable[[], object], str], ...] = (
         (lambda: made.begin_frame(HEAD, seen, predict_s=0.01), "predict_s needs time_s"),
         (lambda: made.begin_frame(HEAD, seen, time_s=3.0, predict_s=0.2), "^predict_s is 0.2; give a number"),
         (lambda: made.begin_frame(HEAD, seen, time_s=1.5), "time_s is 1.5 s, and that of the pose before was 2 s"),
         (lambda: made.begin_frame(HEAD, seen, time_s=np.nan), "time_s"),
         (lambda: made.compose(time_s=3.0, predict_s=0.01), "give pose as well"),
-    ):
+    )
+    for call, words in faults:
         with pytest.raises(BadInputError, match=words):
             call()
     np.testing.assert_array_equal(made.begin_frame(HEAD, seen, time_s=1.9).world_from_device, HEAD)  # 100 ms late

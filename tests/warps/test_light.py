@@ -1,14 +1,15 @@
 """Light of pictures and panels, against closed forms."""
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import Any, Literal
 
 import moderngl
 import numpy as np
 import pytest
+from gl_caller import open_other
 from gl_scenes import at
 from numpy import floating, number
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
@@ -35,7 +36,7 @@ AWAY = HEAD @ at(0, 0, 0, transforms.rotation_about("y", 0.1))  # a part of the 
 @pytest.fixture
 def theirs(gl_context: GlContext) -> Iterator[moderngl.Context]:
     """A caller's context; `gl_context` skips the test where there is no OpenGL."""
-    made = moderngl.create_context(standalone=True, require=430, backend="egl")
+    made = open_other()
     yield made
     made.release()
 
@@ -46,11 +47,12 @@ def shown(
     """RGBA of a composed picture that is 1 m away, from what `picture(size)` returns."""
     (camera,) = made.begin_frame(HEAD, viewpoint(model)).values()
     colour = picture(camera.size_px)
-    depth = np.ones(camera.size_px[::-1], np.float32)
+    far = np.ones(camera.size_px[::-1], np.float32)
+    depth: NDArray[np.float32] | moderngl.Texture | TextureLayer = far
     if not isinstance(colour, np.ndarray):
         with made.context.drawing() as ctx:
-            depth = ctx.texture(camera.size_px, 1, depth, dtype="f4")
-        depth = TextureLayer(depth) if isinstance(colour, TextureLayer) else depth
+            texture = ctx.texture(camera.size_px, 1, far, dtype="f4")
+        depth = TextureLayer(texture) if isinstance(colour, TextureLayer) else texture
     made.submit(colour, depth, stored_colour=StoredColour(**stored))
     frame = made.compose(pose=pose)
     frame.texture()
@@ -157,12 +159,13 @@ def test_codes_of_every_encoding_give_the_light(
 ) -> None:
     measured = table()
     inverse = [np.interp(light, column, np.linspace(0, 1, 256)) for column in measured.T]
-    for encoding, codes in (
+    cases: tuple[tuple[Literal["linear"] | float | FloatArray, ArrayLike], ...] = (
         ("linear", light),
         (2.2, light ** (1 / 2.2)),
         (1, light),
         (measured, inverse),
-    ):
+    )
+    for encoding, codes in cases:
         made = compositor(flat_image_headset, panel=PanelLight(encoding, bits=16))
         pixels = shown(made, flat_image_headset, grey(light, np.float32), encoding="linear")[INSIDE][..., :3]
         np.testing.assert_allclose(pixels, np.broadcast_to(codes, pixels.shape), atol=2**-11 + 1e-4)
@@ -178,7 +181,7 @@ def test_linear_half_floats_keep_more_than_white(compositor: Callable[..., Any],
 @pytest.mark.parametrize("per_primary", [False, True])
 @pytest.mark.parametrize("encoding", ["linear", table()])
 def test_uniformity_multiplies_the_light(
-    compositor: Callable[..., Any], flat_image_headset: Eye, per_primary: bool, encoding: FloatArray | str
+    compositor: Callable[..., Any], flat_image_headset: Eye, per_primary: bool, encoding: FloatArray | Literal["linear"]
 ) -> None:
     shape = (*SMALL[::-1], 3) if per_primary else SMALL[::-1]
     factors = np.random.default_rng(0).uniform(0.2, 1, shape)

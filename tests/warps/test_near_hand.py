@@ -8,7 +8,7 @@ from warping import uploaded, uploaded_field
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.gl.context import GlContext
 from wlr_render.mappings import Panel
-from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.warp.gl_warp import GlWarp
 from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.view import GeometryImage
@@ -41,7 +41,7 @@ def first_met(inverse_depth: Float32Array, offset: tuple[float, float]) -> Float
     tangents, met = CAMERA.pixel_centre_tangents(), np.full((HEIGHT, WIDTH, 2), np.nan)
     for w in np.unique(inverse_depth):  # the nearest last
         place = CAMERA.pixel_of_tangents(tangents + w * np.array(offset))
-        within = ((place >= 0) & (place < [WIDTH, HEIGHT])).all(axis=-1)
+        within: BoolArray = np.all((place >= 0) & (place < [WIDTH, HEIGHT]), axis=-1)
         column, row = np.moveaxis(np.where(within[..., None], place, 0).astype(int), -1, 0)
         shows = within & (inverse_depth[row, column] == w)
         met[shows] = place[shows]

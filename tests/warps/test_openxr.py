@@ -30,7 +30,7 @@ RUNTIME = Path("/usr/share/openxr/1/openxr_monado.json")
 WINDOW = 960, 540  # of Monado for a headset of 1920 x 1080
 
 
-def wait_for(condition: Callable[..., Any], process, log: Path, seconds: int = 60) -> None:
+def wait_for(condition: Callable[[], object], process: Any, log: Path, seconds: int = 60) -> None:
     """Wait until a process has come so far."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -76,7 +76,7 @@ def swaying() -> Iterator[Any]:
         yield environment
 
 
-def run(environment: dict[str, str], folder: Path, *arguments: object) -> tuple[Any, list[Any]]:
+def run(environment: dict[str, str], folder: Path, *arguments: str) -> tuple[Any, list[Any]]:
     """What the example prints, and its pictures of both eyes."""
     command = [sys.executable, str(EXAMPLE), *arguments]
     result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=200)
@@ -85,7 +85,7 @@ def run(environment: dict[str, str], folder: Path, *arguments: object) -> tuple[
     return result.stdout, [cv2.imread(str(folder / f"{eye}.png")) for eye in ("left", "right")]
 
 
-def check_pictures(left, right) -> None:
+def check_pictures(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> None:
     """Cubes on black, seen by two eyes."""
     for picture in (left, right):
         assert 0.05 < (picture.max(axis=-1) > 50).mean() < 0.95
@@ -101,7 +101,8 @@ def test_poses_of_a_headless_session_move_the_pictures(swaying: Any, tmp_path: P
 
 def test_what_the_runtime_locates_is_recorded_and_read_as_trajectories(swaying: Any, tmp_path: Path) -> None:
     printed, _ = run(swaying, tmp_path)
-    head, eyes = (read(tmp_path / "recording.jsonl") for read in (read_head_trajectory, read_eye_trajectory))
+    recording = tmp_path / "recording.jsonl"
+    head, eyes = read_head_trajectory(recording), read_eye_trajectory(recording)
     moved_mm = 1e3 * np.ptp(head.position_in_world, axis=0).max()
     assert len(head.time_s) == 20
     assert moved_mm == pytest.approx(float(present(re.search(r"the head moved ([\d.]+) mm", printed))[1]), abs=0.2)
@@ -158,7 +159,7 @@ def test_monado_shows_the_panels_unchanged_to_a_head_at_rest(tmp_path: Path) -> 
                 wait_for((tmp_path / "right.png").exists, client, log)
                 deadline = time.monotonic() + 30
                 while time.monotonic() < deadline:
-                    drawn = np.hstack([cv2.imread(str(tmp_path / f"{eye}.png")) for eye in ("left", "right")])
+                    drawn = np.hstack([present(cv2.imread(str(tmp_path / f"{eye}.png"))) for eye in ("left", "right")])
                     shown = screen(tmp_path / "Xvfb_screen0")[: WINDOW[1], : WINDOW[0]]
                     if (shown == drawn).all():
                         break

@@ -8,6 +8,7 @@ from typing import Any
 import moderngl
 import numpy as np
 import pytest
+from gl_caller import make_current, open_other
 from numpy.typing import NDArray
 from warps.composing import HEAD, SMALL, scene, viewpoint
 
@@ -24,19 +25,21 @@ class Engine:
     """Another program's EGL context with a texture to clear, called without making the context current."""
 
     def __init__(self) -> None:
-        self.ctx = moderngl.create_context(standalone=True, require=430, backend="egl")
+        self.ctx = open_other()
         self.texture = self.ctx.texture((8, 8), 4, bytes(256))
         self.framebuffer = self.ctx.framebuffer([self.texture])
 
     def cleared(self, value: int) -> list[int]:
         self.framebuffer.clear(value / 255, 0.0, 0.0, 1.0)
-        return np.frombuffer(self.texture.read(), np.uint8)[:4].tolist()
+        texel: list[int] = np.frombuffer(self.texture.read(), np.uint8)[:4].tolist()
+        return texel
 
 
 def current_egl_context() -> int | None:
     egl = ctypes.CDLL("libEGL.so.1")
     egl.eglGetCurrentContext.restype = ctypes.c_void_p
-    return egl.eglGetCurrentContext()
+    current: int | None = egl.eglGetCurrentContext()
+    return current
 
 
 @pytest.fixture
@@ -45,7 +48,7 @@ def engine(gl_context: GlContext) -> Iterator[Engine]:
         pytest.skip("EGL does not open here, so that there is no other context to keep.")
     made = Engine()
     yield made
-    made.ctx.__enter__()
+    make_current(made.ctx)
     made.ctx.release()
 
 
@@ -87,7 +90,7 @@ def test_no_context_stays_current_where_none_was(engine: Engine, flat_image_head
 
 def in_thread(work: Callable[..., Any]) -> BadInputError | NDArray[np.uint8]:
     """What a call on another thread returns or raises."""
-    told = []
+    told: list[BadInputError | NDArray[np.uint8]] = []
 
     def run() -> None:
         try:
@@ -137,5 +140,5 @@ def test_a_context_held_by_another_thread_is_refused_in_a_sentence(
     error = in_thread(lambda: grey_frame(made, flat_image_headset))
     assert isinstance(error, BadInputError)
     assert "cannot be made current on this thread" in str(error)
-    engine.ctx.__enter__()
+    make_current(engine.ctx)
     assert (grey_frame(made, flat_image_headset) == 128).all()

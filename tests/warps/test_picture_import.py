@@ -1,6 +1,7 @@
 """Pictures of other programs: what was drawn by us, told as others tell it, must come back the same."""
 
 import ctypes
+from collections.abc import Callable
 
 import gl_scenes
 import moderngl
@@ -36,7 +37,7 @@ def buffered(inverse_depth: FloatArray, at_0: float, at_1: float, nothing: int) 
     return np.where(inverse_depth > 0, stored, nothing)
 
 
-TOLD = {
+TOLD: dict[str, tuple[StoredDepth, Callable[[FloatArray], FloatArray]]] = {
     "metres": (METRES, metres),
     "metres, nothing is infinite": (METRES, lambda inverse: metres(inverse, np.inf)),
     "inverse": (INVERSE, lambda inverse: inverse),

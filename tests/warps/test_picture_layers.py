@@ -98,8 +98,8 @@ def test_multisampled_textures_are_resolved(gl_context: GlContext, take: Picture
         colour, depth = ctx.texture(SIZE, 4, samples=4), ctx.depth_texture(SIZE, samples=4)
         drawn = ctx.framebuffer([colour], depth)
         drawn.clear(0.2, 0.4, 0.6, 1.0, depth=0.25)
-    for given in ((colour, depth), (colour.glo, depth.glo), (drawn, None), (drawn.glo, None)):
-        picture = take.take(CAMERA, *given, WINDOW).read()
+    for given, beside in ((colour, depth), (colour.glo, depth.glo), (drawn, None), (drawn.glo, None)):
+        picture = take.take(CAMERA, given, beside, WINDOW).read()
         assert (picture.colour == [51, 102, 153]).all()
         np.testing.assert_allclose(picture.inverse_depth, 2 + 0.25 * (0.25 - 2), rtol=1e-4)
 
@@ -111,10 +111,10 @@ def test_metres_in_a_depth_format_are_refused(gl_context: GlContext, take: Pictu
         drawn = ctx.framebuffer([colour], depth)
         drawn.clear(depth=0.25)
     pictures = (colour, depth), (colour.glo, depth.glo), (TextureLayer(colour), depth), (drawn, None), (drawn.glo, None)
-    for given in pictures:
+    for given, beside in pictures:
         with pytest.raises(BadInputError, match=r"holds no metres; say .* stored=StoredDepth\(DepthKind.WINDOW, near"):
-            take.take(CAMERA, *given, StoredDepth())
-        assert (take.take(CAMERA, *given, WINDOW).read().inverse_depth > 0).all()
+            take.take(CAMERA, given, beside, StoredDepth())
+        assert (take.take(CAMERA, given, beside, WINDOW).read().inverse_depth > 0).all()
 
 
 def test_a_framebuffer_with_layers_as_attachments(gl_context: GlContext, take: PictureImport) -> None:
@@ -153,7 +153,7 @@ def test_bad_layers_are_refused_in_a_sentence(gl_context: GlContext, take: Pictu
         levels.build_mipmaps()
         gone = ctx.texture_array((*SIZE, 2), 4)
         gone.release()
-    for given, words in (
+    for (given, beside), words in (
         ((1999, depth.glo), "Number 1999 is not a texture of this context"),
         ((TextureLayer(array, 5), depth), r"texture \d+ has no layer 5; it has 2, counted from 0"),
         ((TextureLayer(colour, 1), depth), r"texture \d+ has no layer 1; it has 1, counted"),
@@ -168,7 +168,7 @@ def test_bad_layers_are_refused_in_a_sentence(gl_context: GlContext, take: Pictu
         ((colour, None), "a picture cannot be taken from a Texture and a NoneType"),
     ):
         with pytest.raises(BadInputError, match=words):
-            take.take(CAMERA, *given, INVERSE)
+            take.take(CAMERA, given, beside, INVERSE)
     for bad, words in (
         ({"texture": "colour"}, "texture is a str; give"),
         ({"texture": 5, "layer": -1}, "layer is -1; give a whole number from 0"),

@@ -2,18 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
-from wlr_render.mappings import Eye, Panel, QueryResult, Status
+from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult, Status
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.composed_frame import ComposedFrame
 from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
-from wlr_render.warp.ray_map import RayMap
 
 
 @pytest.fixture(params=["planar", "flat image"])
@@ -24,12 +23,13 @@ def headset(request: pytest.FixtureRequest, flat_image_headset: Eye) -> Eye:
 @pytest.fixture
 def solved_at(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """Viewpoints that any solver was asked for."""
-    asked = []
+    asked: list[object] = []
 
     def counting(solve: Callable[..., Any]) -> Callable[[Any, FloatArray], GpuRayMap]:
-        def solve_and_count(self, at: FloatArray) -> GpuRayMap:
+        def solve_and_count(self: Any, at: FloatArray) -> GpuRayMap:
             asked.append(np.array(at))
-            return solve(self, at)
+            field: GpuRayMap = solve(self, at)
+            return field
 
         return solve_and_count
 
@@ -40,7 +40,7 @@ def solved_at(monkeypatch: pytest.MonkeyPatch) -> list[object]:
 
 def slope_offset(frame: ComposedFrame) -> FloatArray:
     (field,) = frame.eyes["right"].ray_maps
-    return (field if isinstance(field, RayMap) else field.read()).slope_offset.astype(np.float64)
+    return field.read().slope_offset.astype(np.float64)
 
 
 @pytest.mark.slow
@@ -102,7 +102,7 @@ def test_the_frame_after_a_saccade_is_a_cold_one(compositor: Callable[..., Any],
 class Troubled:
     """A display whose solve fails in the panel's left quarter, and everywhere for a pupil far to the right."""
 
-    whole: object
+    whole: DisplayMapping
 
     @property
     def panel(self) -> Panel:
@@ -118,7 +118,7 @@ class Troubled:
 
 @pytest.fixture
 def troubled(flat_image_headset: Eye) -> Eye:
-    return replace(flat_image_headset, display=Troubled(flat_image_headset.display))
+    return replace(flat_image_headset, display=cast(DisplayMapping, Troubled(flat_image_headset.display)))
 
 
 @pytest.mark.gl

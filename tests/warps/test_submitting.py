@@ -33,7 +33,7 @@ def buffered(inverse: Float32Array, stored: StoredDepth) -> Float32Array:
 
 def arrays(
     image: GeometryImage,
-) -> dict[str, tuple[tuple[NDArray[np.uint8], Float32Array], dict[str, Rows | StoredDepth]]]:
+) -> dict[str, tuple[tuple[NDArray[Any], ...], dict[str, Rows | StoredDepth]]]:
     """Forms of two arrays: what `submit` is called with."""
     with np.errstate(divide="ignore"):
         infinite = 1 / image.inverse_depth
@@ -143,7 +143,8 @@ def test_a_gpu_picture_of_elsewhere_is_told_in_a_sentence(
     with gl_context.drawing() as ctx:
         foreign = ctx.simple_framebuffer(camera.size_px)
     image = raster.draw_on_gpu(camera.view)
-    alike = Pinhole(*camera.size_px, camera.view.camera.tangent_min, camera.view.camera.tangent_max * 1.01)
+    width, height = camera.size_px
+    alike = Pinhole(width, height, camera.view.camera.tangent_min, camera.view.camera.tangent_max * 1.01)
     for given, words in (
         ((elsewhere,), "another context"),
         ((raster.draw_on_gpu(type(camera.view)(alike, seen, HEAD), "other"),), "another camera"),
@@ -203,8 +204,9 @@ def test_words_do_not_stand_for_kinds_and_rows(compositor: Callable[..., Any], f
     ):
         with pytest.raises(BadInputError, match="a StoredDepth, stored_colour a StoredColour, and rows one of"):
             made.submit(*given, **wrong)
+    no_kind: Any = "WINDOW"
     with pytest.raises(BadInputError, match="'WINDOW' is not a kind of depth"):
-        StoredDepth("WINDOW", 0.05, np.inf)
+        StoredDepth(no_kind, 0.05, np.inf)
 
 
 @pytest.mark.gl
@@ -225,11 +227,12 @@ def test_a_depth_that_is_no_number_is_background_and_changes_only_its_neighbourh
     source = SceneSource(made, scene())
     (camera,) = draw(made, source, HEAD, seen).values()
     image = source.read(camera.view)
-    depth = {
+    depths: dict[DepthKind, Callable[[], NDArray[Any]]] = {
         DepthKind.METRES: lambda: 1 / image.inverse_depth,
         DepthKind.INVERSE: image.inverse_depth.copy,
         DepthKind.WINDOW: lambda: buffered(image.inverse_depth, stored),
-    }[stored.kind]()
+    }
+    depth = depths[stored.kind]()
     row, column = depth.shape[0] // 2, depth.shape[1] // 2
     wrong = [np.nan] if stored.kind is DepthKind.WINDOW else [np.nan, np.inf]
     nothing = 0.0 if stored.kind is not DepthKind.WINDOW else stored.nothing

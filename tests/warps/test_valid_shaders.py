@@ -22,9 +22,10 @@ OWN_WARP = {"own_warp.glsl"}  # for other programs: test_warp_mesh.py
 
 
 @pytest.fixture
-def sources(monkeypatch: pytest.MonkeyPatch) -> dict[object, object]:
+def sources(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """Texts of the shaders that are compiled from now on, with the stage of each."""
-    compiled, compile_program = {}, moderngl.Context.program
+    compiled: dict[str, str] = {}
+    compile_program = moderngl.Context.program
 
     def program(context: moderngl.Context, **shaders: Any) -> moderngl.Program:
         compiled.update((text, STAGES[kind]) for kind, text in shaders.items())
@@ -52,7 +53,7 @@ def compose_all_kinds(compositor: Callable[..., Any]) -> None:
 @pytest.mark.slow
 @pytest.mark.gl
 def test_the_reference_compiler_accepts_every_shader(
-    compositor: Callable[..., Any], sources: Mapping[object, object], tmp_path: Path
+    compositor: Callable[..., Any], sources: Mapping[str, str], tmp_path: Path
 ) -> None:
     compiler = shutil.which("glslangValidator")
     if compiler is None:
@@ -60,7 +61,8 @@ def test_the_reference_compiler_accepts_every_shader(
     compose_all_kinds(compositor)
     includes = {path.name: path.read_text(encoding="utf-8") for path in resource("shaders").glob("*.glsl")}
     whole = re.compile(r'#include "(\w+\.glsl)"')
-    used, written = set(), []
+    used: set[str] = set()
+    written: list[Path] = []
     for text, stage in sources.items():
         while whole.search(text):
             used |= set(whole.findall(text))

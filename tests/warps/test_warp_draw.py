@@ -95,7 +95,8 @@ def in_other_frame(slope_offset: Float32Array, transform: FloatArray) -> FloatAr
 @pytest.mark.parametrize("samples_per_axis", [1, 2])
 def test_rays_transformed_to_another_frame(gl_context: GlContext, image: GeometryImage, samples_per_axis: int) -> None:
     """The shader's transform is that of rays which are told in the picture's frame to begin with."""
-    options, transform = {"samples_per_axis": samples_per_axis}, motion(0.15)
+    options: dict[str, Any] = {"samples_per_axis": samples_per_axis}
+    transform = motion(0.15)
     carried = by_opengl(gl_context, image, [0.02], transform, **options)
     rays = uploaded_field(gl_context, in_other_frame(at_points(FINE_CELLS), transform), FINE_CELLS)
     picture = uploaded(gl_context, image, CAMERA)
@@ -109,9 +110,10 @@ def test_each_row_has_its_own_transform(gl_context: GlContext, image: GeometryIm
     result = by_opengl(gl_context, image, [0.02], by_row)
     for row in (0, 31, HEIGHT - 1):
         alone = by_opengl(gl_context, image, [0.02], by_row[row])
-        assert_alike(
-            *(WarpedImage(each.colour[row], each.status[row], present(each.source)[row]) for each in (result, alone))
+        of_row, expected = (
+            WarpedImage(each.colour[row], each.status[row], present(each.source)[row]) for each in (result, alone)
         )
+        assert_alike(of_row, expected)
 
 
 def assert_fine_enough(context: GlContext, image: GeometryImage, transform: FloatArray, most_px: float) -> None:
@@ -159,7 +161,7 @@ def test_between_grid_points_the_shader_interpolates_as_the_warp_grid_does(
     field = uploaded_field(gl_context, slope_offset, CELLS)
     drawn = GlWarp(gl_context).draw(uploaded(gl_context, image, CAMERA), [field], np.eye(4), size, with_source=True)
     pixel = (np.stack(np.meshgrid(*map(np.arange, size)), axis=-1) + 0.5) / times
-    rays = CELLS.interpolated(slope_offset, pixel.reshape(-1, 2)).reshape(*pixel.shape[:2], 4)
+    rays = CELLS.interpolated(slope_offset.astype(float), pixel.reshape(-1, 2)).reshape(*pixel.shape[:2], 4)
     np.testing.assert_allclose(present(drawn.read().source), CAMERA.pixel_of_tangents(rays[..., :2]), atol=1e-3)
 
 

@@ -44,7 +44,8 @@ def first_met(at_infinity: FloatArray, shift_px: float, inverse_depth: FloatArra
 def near_a_border(at_infinity: FloatArray, shift_px: float, inverse_depth: FloatArray) -> BoolArray:
     """Whether any depth's place lies so close to a column's border that rounding decides."""
     u = at_infinity[:, None] + shift_px * np.unique(inverse_depth) / NEAR
-    return (np.abs(u - np.round(u)) < 2e-3).any(axis=1)
+    is_near: BoolArray = np.any(np.abs(u - np.round(u)) < 2e-3, axis=1)
+    return is_near
 
 
 @pytest.mark.parametrize("width_px", [1, 2, 3])
@@ -72,7 +73,7 @@ def test_a_thin_pole_before_a_wall_is_never_skipped(gl_context: GlContext, width
 
 @pytest.mark.parametrize("depth_m", [0.1, 0.3, 3.0])
 @pytest.mark.parametrize("lean", [0.0, 0.7, -3.0])
-def test_a_wire_of_one_pixel_is_whole_from_20_mm_aside(gl_context: GlContext, depth_m, lean) -> None:
+def test_a_wire_of_one_pixel_is_whole_from_20_mm_aside(gl_context: GlContext, depth_m: float, lean: float) -> None:
     """A wire before a wall at 5 m, upright or across rows and columns: rays through its pixels' centres meet it."""
     camera = Pinhole(240, 200, np.array([-0.6, -0.5]), np.array([0.6, 0.5]))
     place = np.stack(np.meshgrid(np.arange(240) + 0.5, np.arange(200) + 0.5), axis=-1)

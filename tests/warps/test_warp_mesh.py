@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flat_image import PrismPlate
+from present import narrowed
 from warps.composing import HEAD, planar
 from warps.own_warps import NEAR_M, OpenGl, Warp, WebGpu, drawn, expected_source, light, seen_by
 
@@ -17,7 +19,7 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.gl.context import GlContext
 from wlr_render.io.atomic_files import resource
-from wlr_render.mappings import Eye, Panel, QueryResult, Status
+from wlr_render.mappings import DisplayMapping, Eye, QueryResult, Status
 from wlr_render.numerics.arrays import Float32Array, FloatArray, IntArray
 from wlr_render.numerics.srgb import encode_srgb
 from wlr_render.warp.choose_grid import ray_error_arcmin
@@ -95,7 +97,7 @@ def exact_at_vertices(mappings: Eye, mesh: WarpMesh, viewpoint: FloatArray) -> F
 
 
 def test_each_colour_has_the_rays_of_its_own_model(flat_image_headset: Eye) -> None:
-    see_through, at = flat_image_headset.see_through, pupil(flat_image_headset)
+    see_through, at = narrowed(flat_image_headset.see_through, PrismPlate), pupil(flat_image_headset)
     colours = [
         replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.01, 0.0, 0.02)
     ]
@@ -108,10 +110,10 @@ def test_each_colour_has_the_rays_of_its_own_model(flat_image_headset: Eye) -> N
 class HalfDisplay:
     """A display without rays to the left of a column."""
 
-    whole: object
+    whole: DisplayMapping
     column: float
 
-    def __getattr__(self, name: str) -> Panel:
+    def __getattr__(self, name: str) -> Any:
         return getattr(self.whole, name)
 
     def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
@@ -129,13 +131,18 @@ def test_vertices_without_rays_are_nan_and_the_others_exact(flat_image_headset: 
     assert ray_error_arcmin(rays, exact_at_vertices(flat_image_headset, mesh, at))[~lost].max() < 0.005
 
 
+def meshed(models: Any, **options: Any) -> WarpMesh:
+    """Of what a caller gives in place of an eye and of options."""
+    return WarpMesh(models, SIZE, **options)
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (lambda eye, mesh: WarpMesh({"left": planar("left"), "right": eye}, SIZE), "one mesh for each eye"),
+        (lambda eye, mesh: meshed({"left": planar("left"), "right": eye}), "one mesh for each eye"),
         (lambda eye, mesh: WarpMesh(eye, (0, 4)), r"size is \(0, 4\)"),
         (lambda eye, mesh: WarpMesh(eye, SIZE, tolerance_arcmin=0), "tolerance_arcmin is 0"),
-        (lambda eye, mesh: WarpMesh(eye, SIZE, raster_camera="pupil"), "raster_camera is 'pupil'"),
+        (lambda eye, mesh: meshed(eye, raster_camera="pupil"), "raster_camera is 'pupil'"),
         (lambda eye, mesh: mesh.rays([0, 0, np.nan]), "three finite numbers"),
         (lambda eye, mesh: mesh.rays([0, 0, 1.0]), "eye box's centre in z"),
         (lambda eye, mesh: mesh.camera(np.ones((4, 4)), pupil(eye)), "not a rotation"),
