@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -231,7 +232,7 @@ WRITERS = {
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_on_a_full_disk_no_output_appears_and_the_old_one_stays(
-    tmp_path: Path, file_size_limit: Callable[[int], Iterator[None]], name: str
+    tmp_path: Path, file_size_limit: Callable[[int], AbstractContextManager[None]], name: str
 ) -> None:
     target = tmp_path / name
     target.write_text("old")
@@ -260,7 +261,7 @@ def test_on_a_disk_of_any_size_an_output_is_whole_or_the_old_one_stays(tmp_path:
     path = os.pathsep.join([str(script.parent), *sys.path])
     # A PDF has its date in it.
     environment = os.environ | {"PYTHONPATH": path, "SOURCE_DATE_EPOCH": "0"}
-    command = [*run, sys.executable, script, tmp_path]
+    command = [*run, sys.executable, str(script), str(tmp_path)]
     result = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert (result.returncode, result.stdout) == (0, ""), result.stderr
     assert result.stderr.count("refused") == len(WRITERS), result.stderr

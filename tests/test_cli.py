@@ -10,7 +10,7 @@ import shutil
 import subprocess
 import sys
 import typing
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -37,7 +37,7 @@ HEAVY = (
 )
 
 
-def device(folder: Path, *changes: object) -> str:
+def device(folder: Path, *changes: tuple[str, str]) -> str:
     """A device without optics, 48 x 27 pixels, with some more text replaced: (old, new) pairs."""
     text = resource("devices", "no_optics.toml").read_text(encoding="utf-8")
     for old, new in (("[1280, 720]", "[48, 27]"), *changes):
@@ -48,7 +48,7 @@ def device(folder: Path, *changes: object) -> str:
     return str(path)
 
 
-def run_python(*arguments: object) -> subprocess.CompletedProcess[str]:
+def run_python(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, timeout=60)
 
 
@@ -92,14 +92,14 @@ def test_completion_knows_the_verbs_and_their_options() -> None:
     assert all(word in script for word in ("render", "--supersample", "raytrace"))
 
 
-def options_of(verb: Verb):
+def options_of(verb: Verb) -> Any:
     """The dataclass of a verb's options."""
     module, function = verb.function.split(":")
     job = getattr(importlib.import_module(f"wlr_render.jobs.{module}"), function)
     return typing.get_type_hints(inspect.unwrap(job))["options"]
 
 
-def fields_of(options) -> Iterator[Any]:
+def fields_of(options: Any) -> Iterator[Any]:
     """Fields with their notes, those of options within options among them: (options, field, type, notes)."""
     hints = typing.get_type_hints(options, include_extras=True)
     for field in dataclasses.fields(options):
@@ -304,7 +304,7 @@ def empty_obj(folder: Path) -> str:
     return str(path)
 
 
-def text_file(folder: Path, name: str, *lines: object) -> str:
+def text_file(folder: Path, name: str, *lines: str) -> str:
     path = folder / name
     path.write_text("\n".join(lines) + "\n")
     return str(path)
@@ -319,7 +319,7 @@ def eyes_outside(folder: Path) -> str:
     return text_file(folder, "eyes.txt", *header, "0.0 right 0.02 0 0", "0.1 right 0.02 0 0")
 
 
-FAULTS = {
+FAULTS: dict[str, tuple[Callable[[Path], list[str]], str]] = {
     "unknown device": (lambda f: ["trace", "nothstar"], "'nothstar' is neither a file nor one of the shipped devices"),
     "unknown key": (
         lambda f: ["trace", device(f, ("size_mm = [320.0, 180.0]", "size_mm = [320.0, 180.0]\ncolor = 3"))],
@@ -453,7 +453,7 @@ def test_render_says_what_it_drew_and_what_it_kept(tmp_path: Path, capsys: pytes
     assert "0 frames drawn, 1 kept from an earlier run" in capsys.readouterr().out
 
 
-def options_given_by(arguments: Sequence[Any]) -> None:
+def options_given_by(arguments: Sequence[str]) -> object:
     """The options that a command line makes."""
     _, bound, _ = make_app().parse_args(arguments, exit_on_error=False, print_error=False)
     return bound.arguments.get("options")

@@ -1,6 +1,6 @@
 """The command line's verbs about photographs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,9 +22,12 @@ def test_options_of_the_command_line_make_the_bench(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = []
-    monkeypatch.setattr(
-        simulate, "simulate_photo_session", lambda *arguments: given.append(arguments[:3]) or TakenPhotographs(7, 3, ())
-    )
+
+    def simulate_nothing(*arguments: object) -> TakenPhotographs:
+        given.append(arguments[:3])
+        return TakenPhotographs(7, 3, ())
+
+    monkeypatch.setattr(simulate, "simulate_photo_session", simulate_nothing)
     chosen = ["northstar", "--eye", "left", "--viewpoints", "6", "--pattern", "gray", "--camera", "640x480"]
     bench_options = ["--bits", "12", "--pupil-mm", "2", "--focus-m", "0.7", "--snr", "20"]
     sizes = ["--perfect", "--repeatability-um", "3", "--bow-mm", "0.1", "--stage", "xyz"]
@@ -87,7 +90,7 @@ def test_pictures_at_the_end_of_the_scale_are_refused_as_over_exposed(
     assert "('white') is over-exposed: 100% of it is at the end of the scale (255)" in refused(decode, capsys)
 
 
-PHOTOGRAPH_FAULTS = {
+PHOTOGRAPH_FAULTS: dict[str, tuple[Callable[[Path], list[str]], str]] = {
     "no session": (lambda f: ["calibrate", str(f)], "has no session.toml"),
     "no panel": (lambda f: ["decode", str(f)], "decode needs --panel"),
     "no photographs": (lambda f: ["decode", str(f), "--panel", "64x40"], "holds no photographs"),

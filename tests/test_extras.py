@@ -44,7 +44,7 @@ def test_a_path_with_spaces_is_quoted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_checkout_that_is_not_installed_names_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name) -> NoReturn:
+    def missing(name: str) -> NoReturn:
         raise importlib.metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(importlib.metadata, "requires", missing)
@@ -59,7 +59,7 @@ def test_an_environment_without_pip_is_served_by_uv(monkeypatch: pytest.MonkeyPa
 
 def test_a_missing_library_is_named_with_the_command() -> None:
     with pytest.raises(MissingExtraError) as missing, installed_by("exr", "frame.exr"):
-        import no_such_library.part  # noqa: F401
+        importlib.import_module("no_such_library.part")
     assert str(missing.value) == (
         f"frame.exr: no_such_library is not installed; install it: {sys.executable} -m pip install 'openexr>=3.3'"
     )

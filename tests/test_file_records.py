@@ -134,11 +134,12 @@ def given(
     | Tracking,
 ) -> dict[Any, Any]:
     """The attributes that the record's table does not state."""
-    stated = {each.name for each in attributes(type(record))}
+    kind: Any = type(record)  # mypy takes a class for hashable only where its objects are
+    stated = {each.name for each in attributes(kind)}
     return {each.name: getattr(record, each.name) for each in fields(record) if each.name not in stated}
 
 
-def keys_of(kind: type[Any]) -> list[Any]:
+def keys_of(kind: Any) -> list[Any]:
     """The single keys of a record's forms."""
     forms = [each.form for each in attributes(kind)]
     return [key for form in forms for key in (form.parts if isinstance(form, Keys) else [form])]
@@ -180,13 +181,14 @@ def test_what_is_written_is_read_back(
 ) -> None:
     path = write_toml(tmp_path / "a.toml", record_keys(record, PLACE, defaults=True))
     again = read_record(type(record), read_toml(path), PLACE, **given(record))
-    for each in attributes(type(record)):
+    kind: Any = type(record)
+    for each in attributes(kind):
         ours, theirs = getattr(record, each.name), getattr(again, each.name)
         assert type(ours) is type(theirs)
         assert np.array_equal(ours, theirs) or np.allclose(ours, theirs, rtol=0, atol=1e-9)
 
 
-def beyond(key, stated) -> Iterator[Any]:
+def beyond(key: Any, stated: Any) -> Iterator[Any]:
     """Values that a key refuses, in the shape of a value that it accepts."""
     bounds = (key.least, -1), (key.above, 0), (key.most, 1)
     for bound, side in [] if key.type in (bool, str, list) or get_origin(key.type) is Literal else bounds:
@@ -240,7 +242,7 @@ def test_a_value_beyond_its_bounds_is_refused_with_file_and_key(
             assert "\n" not in str(caught.value)
 
 
-def limits(key) -> str:
+def limits(key: Any) -> str:
     """The limits of a key in words, "" without any."""
     key = key._key(PLACE) if hasattr(key, "_key") else key
     if key.most is None and key.least is None:

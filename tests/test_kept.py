@@ -2,7 +2,8 @@
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,7 @@ def test_files_of_other_options_are_refused_in_one_sentence(
 
 
 def test_files_that_no_ledger_lists_are_refused_unless_the_recipe_was_stated(tmp_path: Path, paths: list[Path]) -> None:
-    planned = {path: {} for path in paths}
+    planned: dict[Path, dict[str, Any]] = {path: {} for path in paths}
     with pytest.raises(BadInputError, match=r"a\.png: was written by another program or job; choose another"):
         Kept(tmp_path, RECIPE, planned)
     (tmp_path / LEDGER).write_text('{"file": "a.png", "bytes": 100, "sha256": ""}\n')
@@ -134,7 +135,7 @@ def test_pipes_links_and_huge_lists_are_refused_and_no_file_outside_is_written(
 
 @pytest.mark.parametrize("room", [0, 1, 100, 200])
 def test_on_a_full_disk_the_list_is_refused_and_the_next_run_goes_on(
-    tmp_path: Path, paths: list[Path], file_size_limit: Callable[[int], Iterator[None]], room: int
+    tmp_path: Path, paths: list[Path], file_size_limit: Callable[[int], AbstractContextManager[None]], room: int
 ) -> None:
     Kept(tmp_path, RECIPE).add(signatures_of(paths[:1]))
     finished = Kept(tmp_path, RECIPE)

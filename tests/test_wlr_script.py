@@ -85,7 +85,7 @@ def test_ci_fails_where_a_test_lacks_what_readers_install_and_passes_where_it_la
     users = "test_release.py::test_rattler_build_renders_the_recipe"
     (tmp_path / "rattler_build.py").write_text("raise ModuleNotFoundError('not here')\n")
     environment = os.environ | {"PATH": "", "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    command = [sys.executable, "-m", "pytest", "--readers", *(ROOT / "tests" / name for name in (node, users))]
+    command = [sys.executable, "-m", "pytest", "--readers", *(str(ROOT / "tests" / name) for name in (node, users))]
     result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=60)
     assert result.returncode == 1
     assert "no Node here: install Debian's package nodejs" in result.stdout

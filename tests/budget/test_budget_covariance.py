@@ -1,11 +1,11 @@
 """Laws of the error budget: sums, symmetry, scaling; trackers against exact displacements and Monte Carlo."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
+from present import narrowed
 
 from wlr_render.budget.error_sizes import Drawing, ErrorSizes, EyeTracker, HeadTracker, Truncation
 from wlr_render.budget.registration_budget import TRACKING_CAMERA, disparity_covariance, registration_covariance
@@ -14,6 +14,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.mappings import Eye
+from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.registration import right_and_up
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
@@ -54,7 +55,7 @@ def registration_error(
 
 
 def outer_sum(errors: Sequence[FloatArray]) -> FloatArray:
-    return sum(each[..., :, None] * each[..., None, :] for each in errors)
+    return np.asarray(np.sum([each[..., :, None] * each[..., None, :] for each in errors], axis=0))
 
 
 def test_total_is_the_sum_of_symmetric_positive_sources(northstar: Eye) -> None:
@@ -162,7 +163,7 @@ def test_models_state_their_own_errors(small_panel_model: Eye) -> None:
     at = (*pixels_and_viewpoints(small_panel_model), DEPTH_M)
     found = registration_covariance(small_panel_model, *at, ErrorSizes())
     assert np.all(np.linalg.eigvalsh(found.by_source["model: noise and stage"]) > 0)
-    bare = replace(small_panel_model, display=replace(small_panel_model.display, spread=None))
+    bare = replace(small_panel_model, display=replace(narrowed(small_panel_model.display, DisplayModel), spread=None))
     with pytest.raises(BadInputError, match=r"has no covariance.*calibrate again"):
         registration_covariance(bare, *at, ErrorSizes())
 
@@ -207,7 +208,7 @@ def test_negative_sizes_are_refused() -> None:
         EyeTracker(noise_m=-1e-5)
 
 
-def held_out(found: ArrayLike, expected: Sequence[float]) -> dict[str, list[dict[str, float]]]:
+def held_out(found: Iterable[float], expected: Iterable[float]) -> dict[str, list[dict[str, float]]]:
     rows = [{"rms_arcmin": f, "expected_arcmin": e, "captures": 5} for f, e in zip(found, expected, strict=True)]
     return {"held_out": rows}
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flat_image import PrismPlate
 from numpy.typing import NDArray
 
 from wlr_render.evaluation.device_figures import DeviceFigures, device_figures, figures_table
@@ -80,7 +81,7 @@ def test_constant_prism_deviates_all_rays_alike(flat_image_headset: Eye) -> None
 
 
 def test_ray_offset_shows_at_a_finite_distance_only(flat_image_headset: Eye) -> None:
-    eye = replace(flat_image_headset, see_through=replace(flat_image_headset.see_through, prism=0.0))
+    eye = replace(flat_image_headset, see_through=PrismPlate(prism=0.0))
     point = picture_points(eye)
     radius = np.linalg.norm(point[:, :2], axis=1) / 2.01
     figures = figures_of(eye)
@@ -93,7 +94,7 @@ def test_ray_offset_shows_at_a_finite_distance_only(flat_image_headset: Eye) -> 
 
 def test_colour_is_between_blue_and_red(flat_image_headset: Eye) -> None:
     eye = flat_image_headset
-    blue, red = (replace(eye, see_through=replace(eye.see_through, prism=p)) for p in (0.0032, 0.0030))
+    blue, red = (replace(eye, see_through=PrismPlate(prism=p)) for p in (0.0032, 0.0030))
     assert device_figures(eye, blue, red).colour.maximum == pytest.approx(0.0002 / ARCMIN, rel=0.01)
 
 

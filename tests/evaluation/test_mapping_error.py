@@ -2,13 +2,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from flat_image import PrismPlate
 
 from benchmarks.moved_observations import displaced, straight_error
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.mapping_error import DisplayObservations, SeeThroughObservations
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.mappings import Eye, Panel, QueryResult
+from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult
 from wlr_render.numerics.arrays import FloatArray
 
 SHAPES = [(), (1,), (3, 1, 2)]
@@ -18,7 +19,7 @@ SHAPES = [(), (1,), (3, 1, 2)]
 class Turned:
     """A display whose answers are turned about an axis: the combiner tilted by a known angle."""
 
-    display: object
+    display: DisplayMapping
     rotation: np.ndarray
 
     @property
@@ -37,7 +38,7 @@ class Turned:
 class Static:
     """A display that shows every viewpoint what the centre sees."""
 
-    display: object
+    display: DisplayMapping
     centre: np.ndarray
 
     def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
@@ -117,7 +118,7 @@ def test_an_injected_rotation_is_measured(flat_image_headset: Eye, display_obser
 def test_an_injected_offset_of_the_real_ray_is_measured(
     flat_image_headset: Eye, see_through_observations: SeeThroughObservations
 ) -> None:
-    shifted = replace(flat_image_headset.see_through, prism=0.004)
+    shifted = PrismPlate(prism=0.004)
     error = mapping_error.see_through_error(shifted, see_through_observations)
     depth = (see_through_observations.viewpoint - see_through_observations.point)[:, 2]
     # A prism of 0.001 displaces the point by a thousandth of its depth, less the slant of the ray.
@@ -130,7 +131,7 @@ def test_an_injected_offset_of_the_real_ray_is_measured(
 def test_straight_error_is_the_deviation_of_the_optics(
     flat_image_headset: Eye, see_through_observations: SeeThroughObservations
 ) -> None:
-    straight = replace(flat_image_headset.see_through, offset_m=0.0, prism=0.0)
+    straight = PrismPlate(offset_m=0.0, prism=0.0)
     expected = mapping_error.see_through_error(straight, see_through_observations).backward_arcmin
     np.testing.assert_allclose(straight_error(see_through_observations), expected, rtol=1e-9)
 

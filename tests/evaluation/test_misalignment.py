@@ -3,11 +3,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flat_image import PrismPlate
 from numpy.typing import NDArray
+from present import narrowed
 
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import directions, rays, transforms
-from wlr_render.mappings import Eye, QueryResult
+from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult
 from wlr_render.numerics.arrays import FloatArray
 
 VIEWPOINT = np.array([0.004, 0.001, 0.012])
@@ -24,12 +26,19 @@ def shown_points(eye: Eye, viewpoint: NDArray[Any], pixel: FloatArray, distance:
 class Turned:
     """A display that shows each pixel turned by a rotation about the viewpoint."""
 
-    inner: object
+    inner: DisplayMapping
     rotation: np.ndarray
+
+    @property
+    def panel(self) -> Panel:
+        return self.inner.panel
 
     def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: NDArray[Any], warm_start: object = None) -> QueryResult:
         answer = self.inner.view_dir_of_pixel(pixel, viewpoint)
         return replace(answer, value=answer.value @ self.rotation.T)
+
+    def pixel_of_view_dir(self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
+        return self.inner.pixel_of_view_dir(view_dir @ self.rotation, viewpoint)
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2)])
@@ -63,7 +72,7 @@ def test_ignoring_the_combiner_gives_its_deviation_as_misalignment(flat_image_he
     for distance in (0.5, 1e6):
         point = VIEWPOINT + distance * seen / -seen[:, 2:]
         error = misalignment_arcmin(flat_image_headset, VIEWPOINT, pixel, point)
-        plate = flat_image_headset.see_through
+        plate = narrowed(flat_image_headset.see_through, PrismPlate)
         tangents = directions.tangents_of_dir(seen)
         beyond = distance - (VIEWPOINT[2] - plate.z_m)
         bent = (distance * tangents - beyond * np.array([plate.prism, 0.0])) / (distance + plate.offset_m)

@@ -1,3 +1,5 @@
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -28,9 +30,10 @@ def test_a_pupil_moves_on_along_its_line() -> None:
 
 @pytest.mark.parametrize(("between_s", "ahead_s"), [(0.01, 0.101), (0.01, -0.001), (0.0, 0.01), (0.2, 0.01)])
 def test_far_predictions_are_refused(between_s: float, ahead_s: float) -> None:
-    for predict in (
+    predictions: list[Callable[[], FloatArray]] = [
         lambda: predicted_pose(turned(0.0), turned(0.1), between_s, ahead_s),
         lambda: predicted_point(np.zeros(3), np.ones(3), between_s, ahead_s),
-    ):
+    ]
+    for predict in predictions:
         with pytest.raises(BadInputError, match="give 0 to 100 ms, from poses at most 100 ms apart"):
             predict()

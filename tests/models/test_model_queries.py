@@ -10,7 +10,7 @@ from present import present
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.rays import distance_to_point, split
-from wlr_render.mappings import Status
+from wlr_render.mappings import EYE_BOX_MARGIN, Status
 from wlr_render.models import fitted_model
 from wlr_render.models.see_through_model import SeeThroughModel
 
@@ -85,8 +85,8 @@ def test_pixels_and_viewpoints_broadcast(display: Any) -> None:
 
 @displays
 def test_extrapolations_keep_their_value_and_are_outside_fit(display: Any) -> None:
-    far = EYE_BOX.centre + [0.5 * EYE_BOX.size[0] + 2 * fitted_model.EYE_BOX_MARGIN, 0, 0]
-    near = EYE_BOX.centre + [0.5 * EYE_BOX.size[0] + 0.5 * fitted_model.EYE_BOX_MARGIN, 0, 0]
+    far = EYE_BOX.centre + [0.5 * EYE_BOX.size[0] + 2 * EYE_BOX_MARGIN, 0, 0]
+    near = EYE_BOX.centre + [0.5 * EYE_BOX.size[0] + 0.5 * EYE_BOX_MARGIN, 0, 0]
     assert display.view_dir_of_pixel(PIXEL[0], far).status == Status.OUTSIDE_FIT
     assert display.view_dir_of_pixel(PIXEL[0], near).status == Status.OK
     off_panel = display.view_dir_of_pixel(np.array([1100.0, 400.0]), EYE_BOX.centre)

@@ -1,13 +1,12 @@
 """Models answer the same with a polynomial as with any function of the same values."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from models.toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS
+from models.toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS, Fitted, changed
+from present import narrowed
 
 from benchmarks.rivals.numeric_regressor import NumericRegressor
-from wlr_render.models.fitted_model import FittedModel
+from wlr_render.models.display_model import DisplayModel
 from wlr_render.numerics.arrays import FloatArray
 
 RNG = np.random.default_rng(4)
@@ -17,11 +16,11 @@ POINT = np.column_stack([VIEWPOINT[:, :2] + RNG.uniform(-0.1, 0.1, (30, 2)), RNG
 ANGLE = 1e-10  # radians: 3e-7 arcminutes
 
 
-def of_function(model: FittedModel) -> FittedModel:
+def of_function(model: Fitted) -> Fitted:
     """The same model, made of a function without derivatives of its own."""
     polynomial = model.modelled
     function = NumericRegressor(polynomial, polynomial.box, polynomial.outputs, polynomial.numbers)
-    return replace(model, **{model.MODELLED: function})
+    return changed(model, **{model.MODELLED: function})
 
 
 @pytest.mark.parametrize("kind", ["planar", "volumetric", "static"])
@@ -60,7 +59,7 @@ def test_a_see_through_model_answers_the_same_with_the_function_as_with_the_poly
 
 def test_the_backward_query_meets_a_pixel_of_a_function_that_rounds_coarsely() -> None:
     """A kernel regressor with large weights rounds at 1e-9: the solve must not ask for more, and converge."""
-    exact = DISPLAYS["planar"]()
+    exact = narrowed(DISPLAYS["planar"](), DisplayModel)
     polynomial = exact.forward
     noise = np.random.default_rng(1)
 
@@ -69,7 +68,7 @@ def test_the_backward_query_meets_a_pixel_of_a_function_that_rounds_coarsely() -
         return np.asarray(value + 1e-9 * noise.uniform(-1.0, 1.0, value.shape))
 
     function = NumericRegressor(rounded, polynomial.box, 2, 0, rounding=1e-9)
-    found = replace(exact, forward=function)
+    found = changed(exact, forward=function)
     shown = found.pixel_of_view_dir(exact.view_dir_of_pixel(PIXEL, VIEWPOINT).value, VIEWPOINT)
     assert shown.ok.all()
     np.testing.assert_allclose(shown.value, PIXEL, atol=1e-4)

@@ -13,10 +13,12 @@ from models.toy_models import (
     PIXELS,
     PLANE,
     TANGENTS,
+    Fitted,
     bend,
     box,
     bundle_display,
     bundle_see_through,
+    changed,
     polynomial,
     seen,
     volumetric_display,
@@ -28,7 +30,6 @@ from wlr_render.geometry.planes import BasePlane
 from wlr_render.geometry.rays import at_z, distance_to_point, split
 from wlr_render.mappings import Status
 from wlr_render.models.display_model import DisplayModel
-from wlr_render.models.fitted_model import FittedModel
 from wlr_render.models.inverse import TOLERANCE, backward_start_of
 from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.numerics.arrays import FloatArray
@@ -67,11 +68,11 @@ def test_see_through_solve_equals_a_general_root_finder() -> None:
         np.testing.assert_allclose(found, slow, atol=1e-11)
 
 
-def strong(model: FittedModel, name: str, factor: float) -> FittedModel:
+def strong(model: Fitted, name: str, factor: float) -> Fitted:
     """The same model with all its tangents or bends enlarged: a projection that takes work."""
     polynomial = getattr(model, name)
     enlarged = dataclasses.replace(polynomial, coefficients=factor * polynomial.coefficients)
-    return dataclasses.replace(model, **{name: enlarged})
+    return changed(model, **{name: enlarged})
 
 
 def test_cold_solves_take_a_handful_of_steps_and_warm_ones_fewer_to_the_same_answer() -> None:

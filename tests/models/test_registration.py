@@ -1,16 +1,16 @@
 """Covariance of the registration error, against the changes by each variable of both models' coefficients."""
 
-import dataclasses
+from typing import cast
 
 import numpy as np
 import pytest
-from models.toy_models import EYE_BOX, bundle_display, bundle_see_through
+from models.toy_models import EYE_BOX, Fitted, bundle_display, bundle_see_through, changed
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.mappings import QueryResult
 from wlr_render.models.display_model import DisplayModel
-from wlr_render.models.fitted_model import DirectionErrors, FittedModel
+from wlr_render.models.fitted_model import DirectionErrors, FittedSeeThrough
 from wlr_render.models.registration import UNSHARED, model_registration_covariance, registration_changes, right_and_up
 from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.models.spread import Covariance
@@ -23,7 +23,7 @@ VIEWPOINT = EYE_BOX.centre + [[0.002, -0.001, 0.001], [0.0, 0.003, -0.002]]
 POINT = np.array([[0.1, 0.05, -1.0], [0.6, -0.2, -2.0]])
 
 
-def with_spread(mapping: FittedModel, name: str, sources: tuple[str, ...] = SOURCES) -> FittedModel:
+def with_spread(mapping: Fitted, name: str, sources: tuple[str, ...] = SOURCES) -> Fitted:
     """One apart variable per axis, the shared ones, and one more of its own."""
     polynomial, rng = getattr(mapping, name), np.random.default_rng(len(name))
     outputs = polynomial.outputs
@@ -33,7 +33,7 @@ def with_spread(mapping: FittedModel, name: str, sources: tuple[str, ...] = SOUR
         return Polynomial(orders, polynomial.box, 1e-5 * rng.normal(size=(6, count)))
 
     spread = Covariance(outputs, factors(outputs // 2), factors(outputs * (len(sources) + 1)), sources)
-    return dataclasses.replace(mapping, spread=spread)
+    return mapping.with_spread(spread)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def models() -> tuple[DisplayModel, SeeThroughModel]:
     return with_spread(bundle_display(), "forward"), with_spread(bundle_see_through(), "deviation")
 
 
-def moved(mapping: FittedModel, name: str, shared: FloatArray, own: FloatArray) -> FittedModel:
+def moved(mapping: Fitted, name: str, shared: FloatArray, own: FloatArray) -> Fitted:
     """The mapping at given values of the shared variables (3,), and of its own (3,): of both axes, then of each."""
     polynomial, spread = getattr(mapping, name), mapping.spread
     assert spread is not None
@@ -49,7 +49,7 @@ def moved(mapping: FittedModel, name: str, shared: FloatArray, own: FloatArray) 
     for axis in (0, 1):
         joint[:, axis::2] += spread.apart.coefficients * own[1 + axis]
     added = polynomial.plus(Polynomial(spread.joint.orders, polynomial.box, joint))
-    return dataclasses.replace(mapping, **{name: added})
+    return changed(mapping, **{name: added})
 
 
 def registration(display: DisplayModel, see_through: SeeThroughModel) -> FloatArray:
@@ -76,7 +76,7 @@ def test_covariance_is_that_of_the_changes_by_every_variable(
 ) -> None:
     found = model_registration_covariance(*models, PIXEL, VIEWPOINT, POINT)
     assert list(found) == [UNSHARED, "lens", "stage"]
-    total = sum(found.values())
+    total = np.sum([*found.values()], axis=0)
     for row in range(2):
         change = changes_of_models[:, row]
         size = np.sqrt(np.outer(np.diag(total[row]), np.diag(total[row])))
@@ -88,7 +88,7 @@ def test_changes_by_the_variables_are_the_covariance_between_places_too(
 ) -> None:
     changes = registration_changes(*models, PIXEL, VIEWPOINT, POINT)
     joint = changes.reshape(4, -1) @ changes.reshape(4, -1).T
-    total = sum(model_registration_covariance(*models, PIXEL, VIEWPOINT, POINT).values())
+    total = np.sum([*model_registration_covariance(*models, PIXEL, VIEWPOINT, POINT).values()], axis=0)
     for row in range(2):
         np.testing.assert_allclose(joint[2 * row : 2 * row + 2, 2 * row : 2 * row + 2], total[row], rtol=1e-9)
     size = np.sqrt(np.outer(np.diag(joint), np.diag(joint)))
@@ -110,7 +110,7 @@ def test_what_both_share_alike_cancels(models: tuple[DisplayModel, SeeThroughMod
         def direction_errors(self, point: object, viewpoint: object, seen: FloatArray) -> DirectionErrors:
             return display.direction_errors(PIXEL, VIEWPOINT, seen)
 
-    same = model_registration_covariance(display, Same(), PIXEL, VIEWPOINT, POINT)
+    same = model_registration_covariance(display, cast(FittedSeeThrough, Same()), PIXEL, VIEWPOINT, POINT)
     assert np.abs(same["lens"]).max() == 0.0
     assert np.abs(same["stage"]).max() == 0.0
     assert np.all(np.trace(alone["lens"], axis1=1, axis2=2) > 0)

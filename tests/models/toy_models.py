@@ -1,13 +1,15 @@
 """One model of each kind with smooth maps of a plausible size, fitted to closed forms on a dense random sample."""
 
 from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.display_model import DisplayModel
+from wlr_render.models.fitted_model import FittedModel
 from wlr_render.models.model_place import NOWHERE, VIEWPOINT
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.see_through_model import SeeThroughModel
@@ -59,6 +61,16 @@ def bend(inputs: FloatArray) -> FloatArray:
     x, y = (x - 0.03) / 0.005, y / 0.005
     a = [2e-3 * tx + 1e-3 * x * ty, 3e-3 - 1e-3 * ty**2 + 5e-4 * y]
     return np.stack([*a, 1e-3 * tx + 1e-4 * x**2, 5e-4 * ty + 2e-4], axis=-1)
+
+
+Fitted = TypeVar("Fitted", bound=FittedModel)
+
+
+def changed(model: Fitted, **changes: object) -> Fitted:
+    """The model with other values of some attributes."""
+    record: Any = model  # a dataclass, as every model is
+    found: Fitted = replace(record, **changes)
+    return found
 
 
 def bundle_display() -> DisplayModel:

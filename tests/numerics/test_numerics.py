@@ -26,7 +26,7 @@ TABLES = {
 
 def random_model(orders: IntArray, seed: int = 4) -> Polynomial:
     rng, variables = np.random.default_rng(seed), orders.shape[1]
-    low = rng.uniform(-3, 0, variables)
+    low = rng.uniform(-3, 0, (variables,))
     box = polynomial.Box(low, low + rng.uniform(0.5, 4, variables))
     return polynomial.Polynomial(orders, box, rng.normal(size=(len(orders), 3)))
 
@@ -120,10 +120,10 @@ def test_beyond_the_box_a_polynomial_is_linear_and_joins_smoothly() -> None:
             expected = there[0] + step * there[1] @ outwards
             np.testing.assert_allclose(model(edge + step * outwards), expected, rtol=1e-9)
     # Inside the slack it is still the polynomial itself.
-    unit = np.array([[border - 1e-4, 0.0, 0.0, 0.0]])
+    near = np.array([[border - 1e-4, 0.0, 0.0, 0.0]])
     order = model.orders[:, 0]
-    terms = np.cosh(order * np.arccosh(unit[0, 0])) * np.prod(np.cos(model.orders[:, 1:] * 0.5 * np.pi), axis=1)
-    np.testing.assert_allclose(model(centre + half * unit)[0], terms @ model.coefficients, atol=1e-10)
+    terms = np.cosh(order * np.arccosh(near[0, 0])) * np.prod(np.cos(model.orders[:, 1:] * 0.5 * np.pi), axis=1)
+    np.testing.assert_allclose(model(centre + half * near)[0], terms @ model.coefficients, atol=1e-10)
 
 
 def test_inputs_that_are_not_finite_have_no_value() -> None:

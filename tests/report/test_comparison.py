@@ -96,7 +96,7 @@ def test_rows_columns_and_tables_of_one_report_are_named(tmp_path: Path) -> None
 
 
 def test_rows_of_one_label_are_matched_in_their_order(tmp_path: Path) -> None:
-    before, now = (report(*(["left", "noise", 0.2, k * factor, "planar"] for k in (1, 2))) for factor in (1, 3))
+    before, now = (report(*(("left", "noise", 0.2, k * factor, "planar") for k in (1, 2))) for factor in (1, 3))
     tables, _ = compared(before, now, tmp_path)
     assert [(row["before"], row["now"]) for row in tables["Errors at 1 m"]["rows"]] == [(1, 3), (2, 6)]
 

@@ -26,7 +26,7 @@ def test_a_large_map_keeps_its_worst_pixels_and_says_that_it_is_reduced() -> Non
 def test_logarithmic_colours_have_marks_at_decades() -> None:
     plot = heat_map("Error", np.array([[0.01, 1.0], [0.0, np.nan]]), "px", limits=(2e-3, 10.0), log=True)
     trace = plot.data[0]
-    np.testing.assert_allclose(trace["z"], [[-2, 0], [-12, np.nan]])
+    np.testing.assert_allclose(trace["z"], np.array([[-2, 0], [-12, np.nan]]))
     np.testing.assert_allclose(trace["customdata"], [[0.01, 1.0], [0.0, np.nan]])
     assert list(trace["colorbar"]["ticktext"]) == ["0.01", "0.1", "1", "10"]
     assert trace["zmin"] == pytest.approx(np.log10(2e-3))

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from wlr_render import __version__
 from wlr_render.io.atomic_files import write_figure
-from wlr_render.report.blocks import Estimate, Number, Picture, Plot, Report, ReportTable, Section, Text, table
+from wlr_render.report.blocks import Block, Estimate, Number, Picture, Plot, Report, ReportTable, Section, Text, table
 from wlr_render.report.plots import bars
 from wlr_render.report.records import json_text, to_jsonable
 from wlr_render.report.save import markdown_table, save_report
@@ -105,7 +105,7 @@ HOSTILE = "a</script><img src=x>|[b](javascript:c)\x1b\u202e`<i>\udc80$\\frac$"
 
 def test_text_of_files_forges_no_markup_anywhere(tmp_path: Path) -> None:
     picture = write_png(tmp_path / "a (b).png", np.full((4, 5, 3), 77, np.uint8)) or tmp_path / "a (b).png"
-    blocks = [
+    blocks: list[Block] = [
         Section(HOSTILE),
         Text(HOSTILE, [HOSTILE]),
         ReportTable(HOSTILE, [HOSTILE], [[HOSTILE], ["x\ny"]], [HOSTILE]),

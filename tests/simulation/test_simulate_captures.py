@@ -42,7 +42,7 @@ def test_the_camera_stands_as_the_sampling_says(flat_image_headset: Eye) -> None
     assert [len(each) for each in depths.values()] == [4, 4, 1]
     assert [np.ptp(each[:, 2]) > 0 for each in depths.values()] == [False, True, False]
     with pytest.raises(BadInputError, match="sampling is 'plannar'; choose from planar, volumetric, static"):
-        simulate(flat_image_headset, 4, sampling="plannar")
+        simulate(flat_image_headset, 4, sampling="plannar")  # type: ignore[arg-type]  # a wrong word is refused
 
 
 def test_field_bounds_every_pixel_from_everywhere_in_the_eye_box(setup: CaptureSetup) -> None:
@@ -170,9 +170,9 @@ def test_stage_turn_rotates_all_directions_of_a_visit_alike_and_each_visit_on_it
     world = simulate_see_through(turned, at, rng())
     exact = setup.truth.see_through.view_dir_of_real_point(world.point, world.viewpoint).value
     visits = [(world.capture == k) & (world.target_pose == pose) for pose in (0, 1) for k in range(100)]
-    turns = np.array([_turn(exact[rows], world.view_dir[rows]) for rows in visits])
-    np.testing.assert_allclose(turns.std(axis=0), 1e-4, rtol=0.2)
-    assert np.abs(np.corrcoef(turns[:100].ravel(), turns[100:].ravel())[0, 1]) < 0.2
+    of_visits = np.array([_turn(exact[rows], world.view_dir[rows]) for rows in visits])
+    np.testing.assert_allclose(of_visits.std(axis=0), 1e-4, rtol=0.2)
+    assert np.abs(np.corrcoef(of_visits[:100].ravel(), of_visits[100:].ravel())[0, 1]) < 0.2
 
 
 def test_a_turned_camera_with_a_small_field_decodes_what_it_looks_at(setup: CaptureSetup) -> None:
@@ -184,17 +184,17 @@ def test_a_turned_camera_with_a_small_field_decodes_what_it_looks_at(setup: Capt
     assert np.linalg.norm(turn) > 3e-4
 
 
-def _turn(exact, measured):
+def _turn(exact: FloatArray, measured: FloatArray) -> FloatArray:
     """The small rotation from measured to exact directions; all of them agree on it."""
     lever = np.stack([np.cross(axis, measured) for axis in np.eye(3)], axis=-1).reshape(-1, 3)
     turn, squares, *_ = np.linalg.lstsq(lever, (exact - measured).ravel(), rcond=None)
     assert squares < 1e-10 * len(exact)
-    return turn
+    return np.asarray(turn)
 
 
 def test_captures_of_a_stage_with_errors_never_state_that_they_are_exact(setup: CaptureSetup) -> None:
-    for errors, sigma in (({}, 0.0), ({"stage_error_m": 1e-5}, 1e-3), ({"stage_turn_rad": 1e-5}, 1e-3)):
-        with_errors = replace(setup, **errors)
+    error_m, turn_rad = replace(setup, stage_error_m=1e-5), replace(setup, stage_turn_rad=1e-5)
+    for with_errors, sigma in ((setup, 0.0), (error_m, 1e-3), (turn_rad, 1e-3)):
         for captures in (take(with_errors, planar(setup), rng()) for take in (simulate_display, simulate_see_through)):
             np.testing.assert_array_equal(captures.sigma_arcmin, sigma)
 
@@ -229,6 +229,11 @@ def test_a_panel_that_nobody_sees_is_said(flat_image_headset: Eye) -> None:
         def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
             seen = flat_image_headset.display.view_dir_of_pixel(pixel, viewpoint)
             return replace(seen, value=seen.value * np.nan, status=np.full_like(seen.status, 3))
+
+        def pixel_of_view_dir(
+            self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: object = None
+        ) -> QueryResult:
+            return flat_image_headset.display.pixel_of_view_dir(view_dir, viewpoint)
 
     truth = Eye("dark", "right", Dark(), flat_image_headset.see_through, flat_image_headset.eye_box)
     with pytest.raises(BadInputError, match="no panel pixel of dark is seen"):

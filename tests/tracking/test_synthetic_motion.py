@@ -1,16 +1,18 @@
 import numpy as np
+from present import narrowed
 
 from wlr_render.geometry import directions
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking import synthetic
+from wlr_render.tracking.trajectory import GazeTrack
 
 VIEWPOINTS = {"left": np.array([-0.032, 0, -0.03]), "right": np.array([0.032, 0, -0.03])}
 
 
-def angular_speed_deg_s(rotation: FloatArray, rate_hz: float):
+def angular_speed_deg_s(rotation: FloatArray, rate_hz: float) -> FloatArray:
     step = np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:]
     cosine = 0.5 * (np.trace(step, axis1=1, axis2=2) - 1)
-    return np.rad2deg(np.arccos(np.clip(cosine, -1, 1))) * rate_hz
+    return np.asarray(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))) * rate_hz)
 
 
 def test_the_same_seed_gives_the_same_wearer_and_another_seed_another() -> None:
@@ -33,7 +35,7 @@ def test_the_head_stays_near_the_origin_and_turns_slowly() -> None:
 
 def test_the_eyes_fixate_and_leap_and_their_gazes_meet() -> None:
     eyes = synthetic.eye_motion(VIEWPOINTS, 7, 10.0, rate_hz=500.0)
-    left, right = eyes.tracks["left"], eyes.tracks["right"]
+    left, right = (narrowed(eyes.tracks[eye], GazeTrack) for eye in ("left", "right"))
     speed = np.rad2deg(directions.angle_between(right.gaze_dir[:-1], right.gaze_dir[1:])) * 500.0
     assert 0.75 < np.mean(speed < 1.0) < 0.97
     assert 150 < speed.max() < 700

@@ -2,6 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from present import narrowed
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -10,7 +11,7 @@ from wlr_render.tracking import synthetic
 from wlr_render.tracking.eye_model import RotatingEye
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory, write_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory, write_head_trajectory_tum
-from wlr_render.tracking.trajectory import EyeTrajectory, GazeTrack, ViewpointTrack
+from wlr_render.tracking.trajectory import EyeTrack, EyeTrajectory, GazeTrack, ViewpointTrack
 
 EYE_HEADER = "# format: wlr-eye-trajectory 1\n# kind: viewpoint\n# frame: openxr-device\n# units: s m\n"
 GAZE_HEADER = EYE_HEADER.replace("viewpoint", "gaze") + "# rotation_centre_left_m: -0.03 0 -0.02\n"
@@ -199,11 +200,11 @@ def test_of_two_times_the_stamp_or_the_finer_unit_is_read(tmp_path: Path) -> Non
     assert head.time_s.tolist() == [1e9 + 1, 1e9 + 2]
     assert head.unread == ("%time", "field.header.seq", "field.header.frame_id")
     for first, second in (("time_s", "time_ns"), ("time_ns", "time_s")):
-        rows = [
+        pairs = [
             (f"{n}" if first == "time_s" else f"{n}250000000", f"{n}250000000" if first == "time_s" else f"{n}")
             for n in (1, 2)
         ]
-        text = f"{first},{second},x,y,z,qx,qy,qz,qw\n" + "".join(",".join(row) + pose for row in rows)
+        text = f"{first},{second},x,y,z,qx,qy,qz,qw\n" + "".join(",".join(pair) + pose for pair in pairs)
         head = read_head_trajectory(written(tmp_path, text))
         assert head.time_s.tolist() == [1.25, 2.25]
         assert head.unread == ("time_s",)
@@ -328,7 +329,7 @@ def test_an_eye_without_numbers_was_not_tracked(tmp_path: Path) -> None:
     row = ",-32,1,-30,32,1,-30\n"
     text = f"{PUPILS}\n0{row}0.1,,,,32,1,-30\n0.2{row}0.3{row}"
     eyes = read_eye_trajectory(written(tmp_path, text))
-    assert eyes.tracks["left"].invalid_s.tolist() == [0.1]
+    assert narrowed(eyes.tracks["left"], ViewpointTrack).invalid_s.tolist() == [0.1]
     assert eyes.tracks["left"].time_s.tolist() == [0, 0.2, 0.3]
     assert eyes.tracks["right"].time_s.tolist() == [0, 0.1, 0.2, 0.3]
 
@@ -384,7 +385,10 @@ def test_a_faulty_eye_file_is_refused(tmp_path: Path, text: str, complaint: str)
 
 def test_one_file_cannot_hold_two_kinds_of_eye(tmp_path: Path) -> None:
     time_s, xyz = np.array([0.0, 1.0]), np.array([[0, 0, -1.0], [0, 0, -1.0]])
-    mixed = {"left": ViewpointTrack(time_s, xyz), "right": GazeTrack(time_s, xyz, RotatingEye(np.zeros(3)))}
+    mixed: dict[str, EyeTrack] = {
+        "left": ViewpointTrack(time_s, xyz),
+        "right": GazeTrack(time_s, xyz, RotatingEye(np.zeros(3))),
+    }
     with pytest.raises(BadInputError, match="of one kind"):
         write_eye_trajectory(tmp_path / "eyes.txt", EyeTrajectory(mixed))
 

@@ -1,5 +1,6 @@
 """Work on a Dask cluster: what local processes give, workers that are killed, and clusters that cannot do it."""
 
+import contextlib
 import importlib
 import importlib.metadata
 import logging
@@ -12,11 +13,11 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 import pytest
@@ -35,6 +36,7 @@ from wlr_render.jobs.simulate import SimulateOptions, simulate
 from wlr_render.report.blocks import Report
 from wlr_render.simulation.photographs import simulate_photo_session
 from wlr_render.work import cluster, workers
+from wlr_render.work.progress import Item, Progress
 from wlr_render.work.workers import WorkerPool, as_finished
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed; install it: pip install '.[dask]'")
@@ -49,17 +51,15 @@ def dask_cluster() -> Iterator[Any]:
 
 
 @pytest.fixture
-def address(dask_cluster: Any):
-    return dask_cluster.scheduler_address
+def address(dask_cluster: Any) -> str:
+    return str(dask_cluster.scheduler_address)
 
 
-def done(
-    address: str, run: Callable[..., Any] | partial, tasks: Sequence[Any] | range, folder: Path | None = None
-) -> list[Any]:
+def done(address: str, run: Callable[..., Any], tasks: Sequence[Any] | range, folder: Path | None = None) -> list[Any]:
     return list(as_finished(run, tasks, WorkerPool(scheduler=address), folder))
 
 
-def square_in_a_worker_that_is_killed_once(folder: Path, number) -> tuple[Any, int]:
+def square_in_a_worker_that_is_killed_once(folder: Path, number: int) -> tuple[int, int]:
     """The first worker that has the number 3 is killed, before it answers."""
     mark = folder / "killed"
     if number == 3 and not mark.exists():
@@ -69,7 +69,7 @@ def square_in_a_worker_that_is_killed_once(folder: Path, number) -> tuple[Any, i
 
 
 @pytest.mark.slow
-def test_the_tasks_of_a_killed_worker_are_done_by_another(address, tmp_path: Path) -> None:
+def test_the_tasks_of_a_killed_worker_are_done_by_another(address: str, tmp_path: Path) -> None:
     answers = done(address, partial(square_in_a_worker_that_is_killed_once, tmp_path), range(12), tmp_path)
     assert sorted(answer for answer, _ in answers) == [number * number for number in range(12)]
     killed = int((tmp_path / "killed").read_text())
@@ -83,7 +83,7 @@ def kill_this_worker(_: object) -> None:
 
 @pytest.mark.slow
 def test_a_task_that_kills_its_workers_is_refused_in_one_sentence(
-    dask_cluster: Any, address, monkeypatch: pytest.MonkeyPatch
+    dask_cluster: Any, address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dask_cluster.scheduler, "allowed_failures", 0)  # 3 by default: minutes on a slow machine
     with pytest.raises(BadInputError, match=r"one task has ended 1 workers, the last at tcp://.*--memory-limit"):
@@ -95,13 +95,13 @@ def where_it_runs(_: object) -> tuple[str, str]:
 
 
 def test_a_task_runs_in_the_current_folder_with_one_thread(
-    address, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert done(address, where_it_runs, [0]) == [(str(tmp_path), "1")]
 
 
-def test_the_temporary_files_of_other_machines_are_left(address, tmp_path: Path) -> None:
+def test_the_temporary_files_of_other_machines_are_left(address: str, tmp_path: Path) -> None:
     (tmp_path / ".wlr-part-of-another.png").touch()
     done(address, atomic_files.output_folder, [tmp_path], tmp_path)
     assert len(list(tmp_path.iterdir())) == 1
@@ -114,7 +114,7 @@ def fail(_: object) -> NoReturn:
     raise BadInputError("a.toml: has no such key.")
 
 
-def test_workers_that_cannot_load_the_program(address, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_that_cannot_load_the_program(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "only_here.py").write_text("def answer(_):\n    return 42\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(
@@ -123,12 +123,12 @@ def test_workers_that_cannot_load_the_program(address, tmp_path: Path, monkeypat
         done(address, importlib.import_module("only_here").answer, [1])
 
 
-def test_the_sentence_of_a_task_comes_back(address) -> None:
+def test_the_sentence_of_a_task_comes_back(address: str) -> None:
     with pytest.raises(BadInputError, match=r"^a\.toml: has no such key\.$"):
         done(address, fail, [0])
 
 
-def test_a_file_that_a_task_does_not_find_ends_the_job_with_its_error(address, tmp_path: Path) -> None:
+def test_a_file_that_a_task_does_not_find_ends_the_job_with_its_error(address: str, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         done(address, open, [str(tmp_path / "absent.txt")], tmp_path)
     assert not list(tmp_path.iterdir())
@@ -146,7 +146,9 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> tuple[Report, Path]:
 
 
 @pytest.mark.slow
-def test_a_study_is_that_of_local_processes_and_is_resumed(address, tmp_path: Path, here: tuple[Report, Path]) -> None:
+def test_a_study_is_that_of_local_processes_and_is_resumed(
+    address: str, tmp_path: Path, here: tuple[Report, Path]
+) -> None:
     options = replace(STUDY, scheduler=address, out=tmp_path / "there")
     assert accuracy(options).blocks == here[0].blocks
     first, *others = sorted((tmp_path / "there" / "trials").glob("*/*.json"))
@@ -184,7 +186,11 @@ def sequence(tmp_path: Path, small_northstar: str, scene_file: str) -> RenderOpt
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["raytrace", pytest.param("raster", marks=pytest.mark.gl)])
 def test_frames_are_those_of_one_process(
-    address, tmp_path: Path, sequence: RenderOptions, method: str, request: pytest.FixtureRequest
+    address: str,
+    tmp_path: Path,
+    sequence: RenderOptions,
+    method: Literal["raster", "raytrace"],
+    request: pytest.FixtureRequest,
 ) -> None:
     if method == "raster":
         request.getfixturevalue("gl_context")
@@ -195,24 +201,25 @@ def test_frames_are_those_of_one_process(
 
 
 @pytest.fixture
-def kill_a_worker_at_work(dask_cluster: Any) -> tuple[Callable[..., Any], list[Any]]:
+def kill_a_worker_at_work(dask_cluster: Any) -> tuple[Progress, list[int]]:
     """Progress of a job that kills a worker with tasks when the first outcome is there, and the killed ones."""
-    killed = []
+    killed: list[int] = []
 
-    def progress(items, total: object, label: object) -> Iterator[Any]:
-        for item in items:
-            if not killed:
-                busy = [each.name for each in dask_cluster.scheduler.workers.values() if each.processing]
-                killed.append(dask_cluster.workers[busy[0]].pid)
-                os.kill(killed[0], signal.SIGKILL)
-            yield item
+    class Killing(Progress):
+        def __call__(self, items: Iterable[Item], total: int, label: str) -> Iterator[Item]:
+            for item in items:
+                if not killed:
+                    busy = [each.name for each in dask_cluster.scheduler.workers.values() if each.processing]
+                    killed.append(dask_cluster.workers[busy[0]].pid)
+                    os.kill(killed[0], signal.SIGKILL)
+                yield item
 
-    return progress, killed
+    return Killing(), killed
 
 
 @pytest.mark.slow
 def test_frames_are_those_of_one_process_when_a_worker_is_killed(
-    address, tmp_path: Path, sequence: RenderOptions, kill_a_worker_at_work: tuple[Callable[..., Any], list[Any]]
+    address: str, tmp_path: Path, sequence: RenderOptions, kill_a_worker_at_work: tuple[Progress, list[int]]
 ) -> None:
     render(sequence)
     progress, killed = kill_a_worker_at_work
@@ -223,7 +230,7 @@ def test_frames_are_those_of_one_process_when_a_worker_is_killed(
 
 @pytest.mark.slow
 def test_a_study_is_that_of_local_processes_when_a_worker_is_killed(
-    address, tmp_path: Path, here: tuple[Report, Path], kill_a_worker_at_work: tuple[Callable[..., Any], list[Any]]
+    address: str, tmp_path: Path, here: tuple[Report, Path], kill_a_worker_at_work: tuple[Progress, list[int]]
 ) -> None:
     progress, killed = kill_a_worker_at_work
     accuracy(replace(STUDY, scheduler=address, out=tmp_path / "there"), progress=progress)
@@ -233,7 +240,7 @@ def test_a_study_is_that_of_local_processes_when_a_worker_is_killed(
 
 @pytest.mark.slow
 def test_a_simulated_session_is_that_of_local_processes(
-    address, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of the last two camera poses, with the six photographs of a bare lens each: panels take minutes."""
     poses = simulate_photo_session.camera_poses
@@ -312,7 +319,7 @@ def refusal_of_a_render(address: str) -> str:
     ],
 )
 def test_workers_with_other_versions(
-    address, monkeypatch: pytest.MonkeyPatch, change: dict[str, str], sentence: str
+    address: str, monkeypatch: pytest.MonkeyPatch, change: dict[str, str], sentence: str
 ) -> None:
     own = cluster._versions()
     monkeypatch.setattr(cluster, "_versions", lambda: own | change)
@@ -320,9 +327,9 @@ def test_workers_with_other_versions(
         done(address, abs, [1])
 
 
-def test_a_worker_that_does_not_see_the_folder(address, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_does_not_see_the_folder(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another machine's folder of that name is one without the mark."""
-    monkeypatch.setattr(cluster, "_marked", lambda folder: cluster.contextlib.nullcontext(str(folder / "mark")))
+    monkeypatch.setattr(cluster, "_marked", lambda folder: contextlib.nullcontext(str(folder / "mark")))
     with pytest.raises(BadInputError, match=rf"does not see the output folder {tmp_path} of this machine"):
         done(address, abs, [1], tmp_path)
 
@@ -363,16 +370,21 @@ def test_workers_and_scheduler_exclude_each_other() -> None:
 
 
 def test_results_are_taken_at_once_and_the_scheduler_is_seldom_asked_for_workers(
-    address, monkeypatch: pytest.MonkeyPatch
+    address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked, before = [], distributed.Client.scheduler_info
-    monkeypatch.setattr(distributed.Client, "scheduler_info", lambda *given, **named: asked.append(1) or before(*given))
+
+    def noted(*given: Any, **named: Any) -> Any:
+        asked.append(1)
+        return before(*given)
+
+    monkeypatch.setattr(distributed.Client, "scheduler_info", noted)
     monkeypatch.setattr(workers, "_WORKERS_EVERY_S", 1000.0)  # longer than the time limit of the test run
     assert sorted(done(address, abs, range(20))) == list(range(20))
     assert not asked
 
 
-def test_between_results_the_log_and_the_settings_of_dask_are_those_of_the_caller(address) -> None:
+def test_between_results_the_log_and_the_settings_of_dask_are_those_of_the_caller(address: str) -> None:
     import dask
 
     dask_log, setting = logging.getLogger("distributed"), "distributed.admin.large-graph-warning-threshold"
@@ -389,7 +401,7 @@ def test_libraries_that_draw_are_compared() -> None:
     assert drawing <= cluster._versions().keys()
 
 
-def pages_of_ten_arrays(_) -> int:
+def pages_of_ten_arrays(_: object) -> int:
     """Pages that the system gives to this process while it makes and drops ten arrays of 8 MB."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     for _ in range(10):
@@ -399,7 +411,7 @@ def pages_of_ten_arrays(_) -> int:
 
 @pytest.mark.slow
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries manage memory by other rules")
-def test_a_worker_keeps_the_memory_of_an_array_for_the_next_one(address) -> None:
+def test_a_worker_keeps_the_memory_of_an_array_for_the_next_one(address: str) -> None:
     one_array = 8_000_000 / resource.getpagesize()
     done(address, pages_of_ten_arrays, [0])
     assert done(address, pages_of_ten_arrays, [0, 1])[-1] < 3 * one_array
@@ -409,6 +421,6 @@ def miss_a_library(_: object) -> None:
     importlib.import_module("a_library_of_the_task")
 
 
-def test_a_library_that_a_task_misses_is_not_the_program(address) -> None:
+def test_a_library_that_a_task_misses_is_not_the_program(address: str) -> None:
     with pytest.raises(ModuleNotFoundError, match="a_library_of_the_task"):
         done(address, miss_a_library, [0])

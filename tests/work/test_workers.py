@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from signal import Signals
 from typing import Any
@@ -72,7 +72,7 @@ def start(tmp_path: Path) -> Iterator[Any]:
     path = os.pathsep.join([*sys.path, str(tmp_path)])
     started = []
 
-    def start_session() -> subprocess.Popen[str]:
+    def start_session() -> subprocess.Popen[bytes]:
         process = subprocess.Popen(
             [sys.executable, "work.py"],
             cwd=tmp_path,
@@ -101,14 +101,14 @@ def working(start: Any, tmp_path: Path) -> tuple[Any, set[int]]:
     return process, {int(each.name.split()[1]) for each in tmp_path.glob("begun *")}
 
 
-def until(reached: Callable[..., Any]):
+def until(reached: Callable[[], bool]) -> bool:
     end = time.monotonic() + 60
     while not reached() and time.monotonic() < end:
         time.sleep(0.02)
     return reached()
 
 
-def session_of(process) -> set[int]:
+def session_of(process: subprocess.Popen[bytes]) -> set[int]:
     """Ids of the running processes of a session."""
     found = set()
     for each in Path("/proc").glob("[0-9]*"):
@@ -170,4 +170,5 @@ def kill_itself(_: object) -> None:
 def test_a_caller_that_stops_listening_does_not_wait_for_the_tasks_at_work() -> None:
     finished = as_finished(time.sleep, [0.0, 1000.0], WorkerPool(2))
     next(finished)
+    assert isinstance(finished, Generator)
     finished.close()  # the time limit of the test run is shorter

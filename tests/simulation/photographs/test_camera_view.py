@@ -11,13 +11,13 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, inverse, rigid, rotate, rotation_about
 from wlr_render.lenses.lens_camera import LensCamera
-from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.device import ClearAperture, EyeOptics
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.optics.device import ClearAperture, EyeOptics, PlacedSurface
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay
-from wlr_render.simulation.photographs import camera_view
 from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.camera_view import CameraView
+from wlr_render.simulation.photographs.pixel_map import PixelMap
 
 LOOKING_AHEAD = rigid(OPENXR_FROM_OPENCV, np.zeros(3))
 BROWN = np.array([-0.1, 0.03, 1e-3, -5e-4, 0.0])
@@ -40,7 +40,7 @@ def place_at_depth(depth_m: float) -> list[Any]:
     """Radiance that tells where rays meet the plane z = -depth: x and y in turn."""
 
     def axis(number: int) -> Callable[[Any], Any]:
-        def radiance(ray):
+        def radiance(ray: Float32Array) -> Any:
             along = (-depth_m - ray[..., 2]) / ray[..., 5]
             return ray[..., number] + along * ray[..., 3 + number]
 
@@ -105,7 +105,7 @@ def test_the_mirrored_panel_stands_on_its_place() -> None:
 
 
 def test_the_edge_of_a_mirror_cuts_the_panel_off() -> None:
-    def narrowed(surface: FloatArray):
+    def narrowed(surface: PlacedSurface) -> PlacedSurface:
         high = np.array([0.005, *surface.aperture.high[1:]])
         return replace(surface, aperture=ClearAperture(surface.aperture.low, high))
 
@@ -182,7 +182,13 @@ def test_interpolated_rays_are_exact_ones_to_a_hundredth(
     lens = SimulatedLens(camera((240, 180), focal, BROWN))
     rng, panel_px, world_arcmin = np.random.default_rng(0), [], []
 
-    def measured(exact, size_px, offset, tolerance, make=camera_view.PixelMap.sample):
+    def measured(
+        exact: Callable[..., Any],
+        size_px: tuple[int, int],
+        offset: FloatArray,
+        tolerance: FloatArray,
+        make: Callable[..., PixelMap] = PixelMap.sample,
+    ) -> PixelMap:
         """Compare the interpolated pixels, at 500 random ones of them, with exact rays."""
         made = make(exact, size_px, offset, tolerance)
         interpolated = made.lit.copy()
@@ -197,7 +203,7 @@ def test_interpolated_rays_are_exact_ones_to_a_hundredth(
         return made
 
     with monkeypatch.context() as patch:
-        patch.setattr(camera_view.PixelMap, "sample", measured)
+        patch.setattr(PixelMap, "sample", measured)
         CameraView.through_optics(eye, lens, pose, samples=4)
     assert len(panel_px) == len(world_arcmin) == 4
     assert 0.0 < max(panel_px) < 0.01
@@ -215,17 +221,17 @@ def test_interpolated_rays_are_exact_ones_to_a_hundredth(
 def test_a_spot_is_blurred_by_the_thin_lens_formula(depth_m: float, focus_m: float) -> None:
     pupil_m, focal = 0.004, 1500.0
 
-    def variance(pupil_diameter_m: float):
+    def variance(pupil_diameter_m: float) -> float:
         radius = 3.0 * depth_m / focal  # three pixels
 
-        def spot(ray):
+        def spot(ray: Float32Array) -> Float32Array:
             x, y = (radiance(ray) for radiance in place_at_depth(depth_m))
-            return (np.hypot(x, y) < radius).astype(np.float32)
+            return np.asarray(np.hypot(x, y) < radius, np.float32)
 
         lens = SimulatedLens(camera((40, 40), focal), pupil_diameter_m, focus_m)
         light = CameraView.without_headset(lens, LOOKING_AHEAD, samples=64).world_light(spot)
         mean = np.average(np.arange(40), weights=light.sum(axis=0))
-        return np.average((np.arange(40) - mean) ** 2, weights=light.sum(axis=0))
+        return float(np.average((np.arange(40) - mean) ** 2, weights=light.sum(axis=0)))
 
     # A uniform disc has a variance of diameter^2 / 16 along each axis.
     blur_px = 4.0 * np.sqrt(max(variance(pupil_m) - variance(0.0), 0.0))
@@ -236,9 +242,9 @@ def test_distortion_moves_a_spot_as_the_camera_says() -> None:
     lens = SimulatedLens(camera((80, 60), 100.0, 3 * BROWN), 0.001, 1.0)
     point = np.array([0.27, 0.17])
 
-    def spot(ray):
+    def spot(ray: Float32Array) -> Float32Array:
         x, y = (radiance(ray) for radiance in place_at_depth(1.0))
-        return (np.hypot(x - point[0], y - point[1]) < 0.03).astype(np.float32)
+        return np.asarray(np.hypot(x - point[0], y - point[1]) < 0.03, np.float32)
 
     light = CameraView.without_headset(lens, LOOKING_AHEAD, samples=64).world_light(spot)
     found = np.array(
@@ -268,6 +274,6 @@ def test_what_radiance_does_not_know_is_dark() -> None:
 
 
 @pytest.mark.parametrize("image", [uniform(1, (1280, 720)), np.ones((720, 1280))])
-def test_an_image_that_the_panel_cannot_show_is_refused(image: FloatArray | NDArray[np.uint8]) -> None:
+def test_an_image_that_the_panel_cannot_show_is_refused(image: NDArray[Any]) -> None:
     with pytest.raises(BadInputError, match="1280 x 720"):
         sight("no_optics", SimulatedLens(camera((12, 10), 300.0)), samples=1).panel_light(image)

@@ -145,7 +145,9 @@ def test_the_plan_moves_the_bare_camera_along_every_axis_and_fills_the_lenses(be
     for lens, boards in ((bench.eyeball, plan.eyeball_boards), (bench.tracking, plan.tracking_boards)):
         pixel = np.concatenate([lens.camera.pixel_of_point(transforms.apply(pose, point)) for pose in boards])
         inside = pixel[np.all((pixel > 0) & (pixel < np.array(lens.camera.size_px)), axis=1)]
-        counts, _, _ = np.histogram2d(*inside.T, bins=4, range=[(0, side) for side in lens.camera.size_px])
+        counts, _, _ = np.histogram2d(
+            inside[:, 0], inside[:, 1], bins=4, range=[(0, side) for side in lens.camera.size_px]
+        )
         assert counts.min() > 0  # dots in every sixteenth of the picture
 
 

@@ -13,9 +13,9 @@ OFFSET = np.array([0.3, -0.2])
 TOLERANCE = np.array([1e-3, 1e-3])
 
 
-def places():
+def places() -> FloatArray:
     u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
-    return np.stack([u, v], axis=-1) + OFFSET
+    return np.asarray(np.stack([u, v], axis=-1) + OFFSET)
 
 
 def smooth(place: FloatArray) -> tuple[NDArray[Any], NDArray[Any]]:

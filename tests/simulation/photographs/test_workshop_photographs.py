@@ -1,5 +1,6 @@
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -19,7 +20,9 @@ from wlr_render.simulation.photographs.recipe import SimulationRecipe, load_reci
 NONE = BenchImperfections.none()
 
 
-def bench_of(family: str = "workshop", seed: int = 1, imperfections: BenchImperfections = NONE) -> PhotoBench:
+def bench_of(
+    family: Literal["polynomial", "workshop"] = "workshop", seed: int = 1, imperfections: BenchImperfections = NONE
+) -> PhotoBench:
     options = PhotoBenchOptions((640, 512), seed=seed, imperfections=imperfections, family=family)
     return design_photo_bench(load_device("plane_plate"), "right", options)
 
@@ -90,7 +93,7 @@ def motions(bench: PhotoBench, perfect: PhotoBench, viewpoints: int = 9) -> tupl
     return np.array(shift), np.array(turn)
 
 
-def only(bench: PhotoBench, *names: object) -> PhotoBench:
+def only(bench: PhotoBench, *names: str) -> PhotoBench:
     return replace(bench, workshop=present(bench.workshop).only(*names))
 
 
