@@ -8,20 +8,19 @@ import re
 # Before numpy is imported, as the command line does: BLAS threads only slow down the thin matrix products here.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from functools import wraps
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
-from _pytest.nodes import Item
 from _pytest.terminal import TerminalReporter
 from flat_image import flat_image_eye
 from gl_caller import Caller
 from memo import memoised, shared_folder
 from numpy.typing import ArrayLike
-from present import present
+from present import narrowed
 from small_photo_session import SmallSession
 
 from wlr_render.calibration.calibrate_session import SessionCalibration
@@ -45,6 +44,8 @@ DATA_BESIDE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "data"
 SLOW_S = 5.0
 """Seconds of a test that `--fast` complains of: the limit of the marker, 1 s, and room for a machine that is busy."""
 
+AnyReport = TypeVar("AnyReport", pytest.TestReport, pytest.CollectReport)
+
 LEFT_TO_THE_USER = re.compile(
     "measured s|Optiland|(open3d|warp|warp-lang|newton|datasets|pyopenxr|monado-service|bpy|Blender) is not installed"
     "|rattler-build|opencv-contrib-python only|root may|user namespaces"
@@ -67,14 +68,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def room_of(item: Item) -> str:
+def room_of(item: pytest.Item) -> str:
     """The folder of tests/ in which a test is."""
     return item.path.relative_to(Path(__file__).parent).parent.as_posix().split("/")[0]
 
 
-def is_quick(item: Item) -> bool:
+def is_quick(item: pytest.Item) -> bool:
     """Whether a test is not marked slow, and uses no fixture of ours that tests share because it is expensive."""
-    definitions = (each[-1] for name, each in item._fixtureinfo.name2fixturedefs.items() if name not in CHEAP)
+    info = narrowed(item, pytest.Function)._fixtureinfo
+    definitions = (each[-1] for name, each in info.name2fixturedefs.items() if name not in CHEAP)
     shared = any(each.scope in ("module", "session") and each.baseid for each in definitions)
     return not shared and item.get_closest_marker("slow") is None
 
@@ -82,7 +84,7 @@ def is_quick(item: Item) -> bool:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not config.getoption("--fast"):
         return
-    first = {}
+    first: dict[Path, pytest.Item] = {}
     for item in items:
         if is_quick(item):
             first.setdefault(item.path, item)
@@ -101,20 +103,22 @@ def pytest_terminal_summary(terminalreporter: TerminalReporter, config: pytest.C
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     return failed_if_skipped((yield), item.config)
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
     return failed_if_skipped((yield), collector.config)
 
 
-def failed_if_skipped(report: pytest.TestReport, config: pytest.Config) -> pytest.TestReport:
+def failed_if_skipped(report: AnyReport, config: pytest.Config) -> AnyReport:
     if (
         report.skipped
         and config.getoption("--readers")
-        and not LEFT_TO_THE_USER.search(reason := present(report.longrepr)[-1])
+        and not LEFT_TO_THE_USER.search(reason := narrowed(report.longrepr, tuple)[-1])
     ):
         report.outcome, report.longrepr = "failed", f"{reason}\nNo test may be skipped for this after `./wlr readers`."
     return report
@@ -161,7 +165,7 @@ def photo_session(
 @pytest.fixture(scope="session")
 def mitsuba() -> ModuleType:
     """The library, which few machines have; tests that need it are skipped elsewhere."""
-    library = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install '.[mitsuba]'.")
+    library: ModuleType = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install '.[mitsuba]'.")
     try:
         PathTracer(Scene("empty", (), (), ()))
     except MissingExtraError as error:
@@ -196,7 +200,7 @@ CHOICES = (
 )
 """Functions of a model alone, which solve thousands of its rays: the most part of a compositor's start."""
 
-_CHOSEN = {}
+_CHOSEN: dict[tuple[str, bytes], ChosenWarpGrid | RayMapPlan | float] = {}
 
 
 def remembered(function: Callable[..., Any]) -> Callable[..., ChosenWarpGrid | RayMapPlan | float]:
@@ -230,7 +234,7 @@ def caller(gl_context: GlContext) -> Iterator[Caller]:
 
 
 @pytest.fixture
-def file_size_limit() -> Callable[[int], Iterator[None]]:
+def file_size_limit() -> Callable[[int], contextlib.AbstractContextManager[None]]:
     """A context manager in which no file can grow beyond so many bytes: a full disk, as the system can imitate one."""
     resource = pytest.importorskip("resource")
 

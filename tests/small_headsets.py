@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from memo import memoised, shared_folder
 
 from benchmarks.speed.workload import bench_model
 from wlr_render.io.atomic_files import resource
-from wlr_render.mappings import Eye, Panel, QueryResult, Status
+from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult, Status
 from wlr_render.models.model_file import EyeModel, save_eye_models
 from wlr_render.numerics.arrays import FloatArray
 
@@ -56,10 +55,16 @@ def changed_device(folder: Path, name: str, *changes: tuple[str, str]) -> str:
 class LeftHalf:
     """A display whose right half shows nothing."""
 
-    whole: Any
+    whole: DisplayMapping
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.whole, name)
+    @property
+    def panel(self) -> Panel:
+        return self.whole.panel
+
+    def pixel_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> QueryResult:
+        return self.whole.pixel_of_view_dir(view_dir, viewpoint, warm_start)
 
     def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
         found: QueryResult = self.whole.view_dir_of_pixel(pixel, viewpoint)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from wlr_render.calibration.calibrate_session import SessionCalibration
 from wlr_render.captures import session_reading
@@ -35,6 +36,7 @@ from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import (
+    Family,
     PhotoBench,
     PhotoBenchOptions,
     design_photo_bench,
@@ -91,12 +93,14 @@ class CoarseView(CameraView):
     """The usual view, of fewer samples in each pixel."""
 
     @classmethod
-    def without_headset(cls, lens: SimulatedLens, frame_from_camera: FloatArray) -> CameraView:
-        return CameraView.without_headset(lens, frame_from_camera, SAMPLES)
+    def without_headset(cls, lens: SimulatedLens, frame_from_camera: FloatArray, samples: int = SAMPLES) -> CameraView:
+        return CameraView.without_headset(lens, frame_from_camera, samples)
 
     @classmethod
-    def through_optics(cls, optics: EyeOptics, lens: SimulatedLens, frame_from_camera: FloatArray) -> CameraView:
-        return CameraView.through_optics(optics, lens, frame_from_camera, SAMPLES)
+    def through_optics(
+        cls, optics: EyeOptics, lens: SimulatedLens, device_from_camera: FloatArray, samples: int = SAMPLES
+    ) -> CameraView:
+        return CameraView.through_optics(optics, lens, device_from_camera, samples)
 
 
 def make_small(patch: pytest.MonkeyPatch) -> None:
@@ -163,20 +167,20 @@ class SmallSession:
         path.unlink()
         write_toml(path, content)
 
-    def repaint(self, name, paint) -> None:
+    def repaint(self, name: str | Path, paint: Callable[[NDArray[Any]], NDArray[Any]]) -> None:
         """Replace a photograph by `paint` of it."""
         path = self.folder / name
         image = paint(read_photograph(path))
         path.unlink()
         write_photograph(path, image)
 
-    def cut_short(self, name) -> None:
+    def cut_short(self, name: str | Path) -> None:
         path = self.folder / name
         content = path.read_bytes()
         path.unlink()
         path.write_bytes(content[: len(content) // 3])
 
-    def swap(self, first, second) -> None:
+    def swap(self, first: str | Path, second: str | Path) -> None:
         """Exchange two photographs."""
         one, other, aside = self.folder / first, self.folder / second, self.folder / "aside"
         one.rename(aside)
@@ -209,7 +213,7 @@ def with_stated_lenses(session: PhotoSession) -> PhotoSession:
     return replace(session, **stated)
 
 
-def made_session(folder: Path, family: str = "polynomial") -> tuple[SmallSession, SessionCalibration, Report]:
+def made_session(folder: Path, family: Family = "polynomial") -> tuple[SmallSession, SessionCalibration, Report]:
     """Simulate the session, calibrate it and write the report; returns all three."""
     folder.mkdir()
     bench = PhotoBenchOptions(camera_px=CAMERA_PX, imperfections=IMPERFECTIONS, family=family)
@@ -233,5 +237,5 @@ def copied(session: SmallSession, folder: Path) -> SmallSession:
 BLACK = np.zeros_like
 
 
-def blown_out(image):
+def blown_out(image: NDArray[Any]) -> NDArray[Any]:
     return np.full_like(image, 255)

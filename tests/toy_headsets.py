@@ -19,11 +19,11 @@ class CurvedImage:
     hole_px: float = 0.0
 
     def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
-        pixel, viewpoint = np.broadcast_arrays(pixel / 1.0, np.zeros(2)), np.asarray(viewpoint)
-        x, y = np.moveaxis((pixel[0] / self.panel.size_px - 0.5) * [0.5, -0.4], -1, 0)
+        pixel, viewpoint = np.broadcast_arrays(pixel / 1.0, np.zeros(2))[0], np.asarray(viewpoint)
+        x, y = np.moveaxis((pixel / self.panel.size_px - 0.5) * [0.5, -0.4], -1, 0)
         point = np.stack([x * (1 + 2 * y * y), y * (1 + x), -0.5 + 0.6 * (x * x + y * y)], axis=-1)
         view_dir = directions.normalised(point - viewpoint)
-        status = np.where(np.linalg.norm(pixel[0] - self.panel.size_px / 2, axis=-1) < self.hole_px, Status.MISS, 0)
+        status = np.where(np.linalg.norm(pixel - self.panel.size_px / 2, axis=-1) < self.hole_px, Status.MISS, 0)
         return QueryResult(np.where(status[..., None], np.nan, view_dir), status.astype(np.uint8))
 
     def pixel_of_view_dir(self, view_dir: object, viewpoint: object, warm_start: object = None) -> NoReturn:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from present import present
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration import calibrate_session as steps
 from wlr_render.calibration.calibrate_session import RefusedCalibrationError, calibrate_session
+from wlr_render.calibration.fit_eye import KindComparison
 from wlr_render.captures.correspondences import Captures, DisplayCaptures
+from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeBox, Panel
@@ -38,7 +41,7 @@ def test_photographs_that_the_bench_rejected_are_named_where_a_later_camera_is_r
     scrambled = replace(seen, pixel=np.random.default_rng(0).permutation(seen.pixel))
     reading = replace(made.reading, boards=made.reading.boards | {path: scrambled})
     with pytest.raises(RefusedCalibrationError, match=r"\[tracking_camera\]: a camera needs 3") as refused:
-        calibrate_session(session, reading, tmp_path, None)
+        calibrate_session(session, reading, tmp_path, fit)
     assert refused.value.found is None
     (named,) = refused.value.reading.excluded
     assert named.name == session.name_of(path)
@@ -47,7 +50,7 @@ def test_photographs_that_the_bench_rejected_are_named_where_a_later_camera_is_r
 
 
 @pytest.fixture
-def session(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+def session(monkeypatch: pytest.MonkeyPatch) -> PhotoSession:
     """A session of two eyes whose bench and captures are given, not calibrated: that takes a minute."""
     rng = np.random.default_rng(0)
     captures = DisplayCaptures(
@@ -67,25 +70,28 @@ def session(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     monkeypatch.setattr(steps, "calibrate_bench", lambda *_: SimpleNamespace(checks=(), rejected=()))
     monkeypatch.setattr(steps, "save_station", lambda *_: None)
     monkeypatch.setattr(steps, "sound_captures", lambda own, *_: (Captures(replace(captures, eye=own.eye)), (MOVED,)))
-    return session
+    return cast(PhotoSession, session)
 
 
-def fit(captures: Captures) -> str:
+MODELS = cast(KindComparison, "models of the right eye")
+
+
+def fit(captures: Captures) -> KindComparison:
     if present(captures.display).eye == "left":
         raise BadInputError("this eye cannot be fitted.")
-    return "models of the right eye"
+    return MODELS
 
 
-def test_a_refusal_at_the_second_eye_keeps_the_first(session: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_refusal_at_the_second_eye_keeps_the_first(session: PhotoSession, tmp_path: Path) -> None:
     with pytest.raises(RefusedCalibrationError, match="this eye cannot be fitted") as refused:
         calibrate_session(session, Reading(), tmp_path, fit)
     found = refused.value.found
     assert found is not None
-    assert {eye: each.kinds for eye, each in found.eyes.items()} == {"right": "models of the right eye"}
+    assert {eye: each.kinds for eye, each in found.eyes.items()} == {"right": MODELS}
     assert found.eyes["right"].excluded == found.reading.excluded == (MOVED,)  # of each eye, once
 
 
-def test_a_file_that_cannot_be_written_is_no_refusal_of_the_session(session: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_no_refusal_of_the_session(session: PhotoSession, tmp_path: Path) -> None:
     (tmp_path / "captures-right.npz").mkdir()
     with pytest.raises(BadInputError, match="captures-right") as error:
         calibrate_session(session, Reading(), tmp_path, fit)

@@ -13,7 +13,7 @@ from present import present
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.captures.correspondences import DisplayCaptures, concatenate, select
+from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, concatenate, select
 from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.geometry.transforms import rotations_of_vectors
@@ -26,8 +26,8 @@ NOISE_ARCMIN = 0.25
 
 
 def moved(
-    captures: DisplayCaptures, motion: FloatArray, rng: np.random.Generator, noise_arcmin: float = NOISE_ARCMIN
-) -> DisplayCaptures:
+    captures: AnyCaptures, motion: FloatArray, rng: np.random.Generator, noise_arcmin: float = NOISE_ARCMIN
+) -> AnyCaptures:
     """As taken by a camera that turned and stood elsewhere by `motion` (groups, 6), with noise of heavy tails."""
     own = motion[captures.visits[1]]
     measured = np.einsum("nji,nj->ni", rotations_of_vectors(own[:, :3]), captures.view_dir)
@@ -45,7 +45,7 @@ def uniform(rng: np.random.Generator, size: FloatArray) -> FloatArray:
     return size * rng.uniform(-np.sqrt(3), np.sqrt(3), size.shape)
 
 
-def stated(captures: DisplayCaptures, size: FloatArray, log_sigma: float) -> DisplayCaptures:
+def stated(captures: AnyCaptures, size: FloatArray, log_sigma: float) -> AnyCaptures:
     return replace(captures, motion=CaptureMotionPrior(np.unique(captures.visits[0]), size, log_sigma))
 
 
@@ -191,4 +191,5 @@ def test_visits_of_a_position_move_apart_and_stay_one_position() -> None:
     assert present(found.report.motion_agreement).shift_sigmas < 3.0
     assert present(found.report.one_more).predicted_arcmin < found.report.predicted_arcmin
     # One motion for both visits leaves the difference of the two to the noise.
-    assert fit_see_through(replace(captures, visit=-1), "planar", 3).smooth.noise > 1.5 * found.smooth.noise
+    unnumbered = replace(captures, visit=np.full(len(captures), -1))
+    assert fit_see_through(unnumbered, "planar", 3).smooth.noise > 1.5 * found.smooth.noise

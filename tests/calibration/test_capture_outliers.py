@@ -2,16 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from wlr_render.calibration.photograph_captures import display_outliers, dot_inliers, see_through_outliers
-from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, select
-from wlr_render.captures.feature_captures import FeatureCaptures
+from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.geometry.directions import ARCMIN, normalised
-from wlr_render.numerics.arrays import IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
@@ -28,7 +26,7 @@ def captures(request: pytest.FixtureRequest) -> tuple[DisplayCaptures, SeeThroug
     return simulate_display(setup, places, rng), simulate_see_through(setup, places, rng)
 
 
-def moved_by(captures: FeatureCaptures, rows: slice, shift: Sequence[Any]) -> FeatureCaptures:
+def moved_by(captures: AnyCaptures, rows: slice | BoolArray, shift: FloatArray | Sequence[float]) -> AnyCaptures:
     viewpoint = captures.viewpoint.copy()
     viewpoint[rows] += shift
     return replace(captures, viewpoint=viewpoint)

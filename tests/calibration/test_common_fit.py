@@ -6,15 +6,18 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from present import present
+from present import narrowed, present
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import Calibration, calibrate
-from wlr_render.captures.correspondences import Captures
-from wlr_render.captures.feature_captures import CommonErrors, FeatureCaptures
+from wlr_render.captures.correspondences import AnyCaptures, Captures
+from wlr_render.captures.feature_captures import CommonErrors
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.mappings import Eye
+from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.registration import UNSHARED, model_registration_covariance
+from wlr_render.models.see_through_model import SeeThroughModel
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.capture_setup import CaptureSetup
@@ -32,7 +35,7 @@ def simulated(seed: int = 1, places: int = 9) -> tuple[Eye, Captures]:
     return truth, Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
-def stated(part: FeatureCaptures | None, target_m: float = 1e-3) -> FeatureCaptures:
+def stated(part: AnyCaptures | None, target_m: float = 1e-3) -> AnyCaptures:
     """With a common error of the viewpoint in y and z, as large as `OFFSET_MM`, and of all targets along y."""
     assert part is not None
     names, poses = np.unique(part.capture), np.unique(getattr(part, "target_pose", np.zeros(0, int)))
@@ -49,15 +52,14 @@ def with_common(captures: Captures) -> Captures:
 
 def off_by(captures: Captures, variables: NDArray[Any]) -> Captures:
     """The captures as they state if the common errors have these values."""
-    parts = []
-    for part in (captures.display, captures.see_through):
-        assert part is not None
-        changes = present(part.common).changes(part, slice(None))
-        moved = {"viewpoint": part.viewpoint + changes.viewpoint @ variables}
-        if changes.point is not None:
-            moved["point"] = part.point + changes.point @ variables
-        parts.append(dataclasses.replace(part, **moved))
-    return Captures(*parts)
+    display, see_through = captures.both
+    of_display, of_see_through = (present(part.common).changes(part, slice(None)) for part in captures.both)
+    point = see_through.point + present(of_see_through.point) @ variables
+    viewpoint = see_through.viewpoint + of_see_through.viewpoint @ variables
+    return Captures(
+        dataclasses.replace(display, viewpoint=display.viewpoint + of_display.viewpoint @ variables),
+        dataclasses.replace(see_through, viewpoint=viewpoint, point=point),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +81,7 @@ def tested(session: tuple[Any, Any, Calibration]) -> tuple[Any, Any, Any, Any]:
     return pixel, viewpoint, ray[:, :3] + 1.5 * ray[:, 3:], seen
 
 
-def rms(values) -> float:
+def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.sum(values**2, axis=-1))))
 
 
@@ -136,7 +138,9 @@ def test_registration_by_source(session: tuple[Any, Any, Calibration], tested: t
     """Targets that are off by 1 mm move the see-through of points at 1.5 m, not the display."""
     _, _, fit = session
     pixel, viewpoint, point, _ = tested
-    covariance = model_registration_covariance(fit.mappings.display, fit.mappings.see_through, pixel, viewpoint, point)
+    display = narrowed(fit.mappings.display, DisplayModel)
+    see_through = narrowed(fit.mappings.see_through, SeeThroughModel)
+    covariance = model_registration_covariance(display, see_through, pixel, viewpoint, point)
     assert list(covariance) == [UNSHARED, "stage", "targets", "stage axes"]
     up, right = (np.sqrt(np.mean(covariance["targets"][:, axis, axis])) for axis in (1, 0))
     assert 0.3 < up / (1e-3 / 1.5 / ARCMIN) < 3.0

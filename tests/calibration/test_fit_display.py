@@ -14,7 +14,7 @@ from calibration.toy_device import (
     tangents_of,
 )
 from numpy.typing import NDArray
-from present import present
+from present import narrowed, present
 
 from wlr_render.calibration import model_kinds
 from wlr_render.calibration.fit_display import fit_display
@@ -22,6 +22,7 @@ from wlr_render.captures.correspondences import DisplayCaptures, concatenate
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.mappings import EyeBox
+from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.fitted_model import FittedDisplay
 from wlr_render.numerics.arrays import FloatArray
 
@@ -36,10 +37,10 @@ def unseen_viewpoints(height: float) -> tuple[NDArray[Any], FloatArray]:
     return viewpoint, dir_of_tangents(tangents)
 
 
-def rms_arcmin(mapping: FittedDisplay, height: float = 0.0):
+def rms_arcmin(mapping: FittedDisplay, height: float = 0.0) -> float:
     viewpoint, view_dir = unseen_viewpoints(height)
     seen = mapping.view_dir_of_pixel(UNSEEN, viewpoint).value
-    return np.sqrt(np.mean(arcmin_between(seen, view_dir) ** 2))
+    return float(np.sqrt(np.mean(arcmin_between(seen, view_dir) ** 2)))
 
 
 @pytest.mark.parametrize("height", [0.0, 0.003, -0.002])
@@ -61,7 +62,7 @@ def test_planar_fit_recovers_a_device_of_its_own_kind_from_any_distance(height: 
 def test_base_plane_may_be_chosen() -> None:
     base_plane = dataclasses.replace(PLANE, z=PLANE.z + 0.001)
     mapping = fit_display(display_captures(positions_in_plane(30)), "planar", 5, base_plane).mapping
-    assert mapping.place == base_plane
+    assert narrowed(mapping, DisplayModel).place == base_plane
     assert rms_arcmin(mapping) < 0.01
 
 
@@ -69,7 +70,7 @@ def test_base_plane_is_that_of_the_camera_positions() -> None:
     captures = display_captures(positions_in_plane(30))
     moved = EyeBox(EYE_BOX.centre + [0.0, 0.0, 0.001], EYE_BOX.size)
     mapping = fit_display(dataclasses.replace(captures, eye_box=moved), "planar", 2).mapping
-    assert mapping.place == PLANE
+    assert narrowed(mapping, DisplayModel).place == PLANE
 
 
 def folded_captures(bulge: float) -> DisplayCaptures:
@@ -194,7 +195,7 @@ def test_held_out_rows_and_columns_are_missed_by_noise_as_the_fit_expects() -> N
     assert [each.left_out for each in report.held_out] == [
         f"{noun} {number} of 5" for noun in ("column", "row") for number in range(1, 6)
     ]
-    found, expected = report.held_out_arcmin
+    found, expected = present(report.held_out_arcmin)
     assert found == pytest.approx(expected, rel=0.1)
     # A residual vector has two components of sigma each.
     assert found == pytest.approx(2.0 * np.sqrt(2.0), rel=0.1)
@@ -208,7 +209,7 @@ def test_one_position_has_nothing_to_hold_out() -> None:
 
 def test_a_degree_limits_the_orders() -> None:
     found = fit_display(display_captures(positions_in_plane(12), sigma_arcmin=1.0), "planar", 2)
-    assert found.mapping.forward.orders.sum(axis=1).max() == 2
+    assert narrowed(found.mapping, DisplayModel).forward.orders.sum(axis=1).max() == 2
     assert found.report.orders == "total 2"
 
 
@@ -217,7 +218,7 @@ def test_weights_follow_sigma() -> None:
     poor = display_captures(positions_in_plane(10), sigma_arcmin=20.0, seed=2)
     weighted = fit_display(concatenate([good, poor]), "planar", 2).mapping
     both = concatenate([good, poor])
-    unweighted = fit_display(dataclasses.replace(both, sigma_arcmin=1.0), "planar", 2).mapping
+    unweighted = fit_display(dataclasses.replace(both, sigma_arcmin=np.ones(len(both))), "planar", 2).mapping
     assert rms_arcmin(weighted) < 0.1
     assert rms_arcmin(unweighted) > 5 * rms_arcmin(weighted)
 
@@ -225,9 +226,9 @@ def test_weights_follow_sigma() -> None:
 def test_error_shrinks_with_the_root_of_the_number_of_samples() -> None:
     few, many = PANEL.grid(4, 3).reshape(-1, 2), PANEL.grid(16, 12).reshape(-1, 2)
 
-    def error(pixels: FloatArray):
+    def error(pixels: FloatArray) -> float:
         captures = [display_captures(positions_in_plane(12), pixels, sigma_arcmin=3.0, seed=s) for s in range(8)]
-        return np.sqrt(np.mean([rms_arcmin(fit_display(c, "planar", 2).mapping) ** 2 for c in captures]))
+        return float(np.sqrt(np.mean([rms_arcmin(fit_display(c, "planar", 2).mapping) ** 2 for c in captures])))
 
     assert error(few) / error(many) == pytest.approx(4.0, rel=0.3)
 

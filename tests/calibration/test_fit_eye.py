@@ -8,20 +8,22 @@ import numpy as np
 import pytest
 from calibration.prescribed_eyes import captured, prescription
 from calibration.toy_device import EYE_BOX, display_captures, positions_in_plane, see_through_captures
-from present import present
+from present import narrowed, present
 
 from benchmarks.wrong_headset import wrong_headset
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import Calibration, EyeTrends, calibrate, eye_trends, fit_kinds, fit_with_trends
 from wlr_render.calibration.fit_prescription import fit_assembly
-from wlr_render.captures.correspondences import Captures
-from wlr_render.captures.feature_captures import CaptureMotionPrior, FeatureCaptures
+from wlr_render.captures.correspondences import AnyCaptures, Captures
+from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
 from wlr_render.mappings import Eye
+from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.models.model_place import NOWHERE
+from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.models.spread import PRESCRIPTION
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
@@ -50,7 +52,7 @@ def test_eye_fit_names_what_it_is_and_goes_through_a_file(tmp_path: Path) -> Non
 
 def test_point_per_pixel_goes_with_a_static_see_through() -> None:
     eye = calibrate(CAPTURES, "point-per-pixel", 3, 2)
-    assert eye.mappings.see_through.place == NOWHERE
+    assert narrowed(eye.mappings.see_through, SeeThroughModel).place == NOWHERE
     assert (present(eye.display).kind, present(eye.see_through).kind) == ("point-per-pixel", "static")
 
 
@@ -81,7 +83,7 @@ def test_captures_of_one_side_give_its_model_and_the_other_side_refuses_every_us
                 mappings.see_through.view_dir_of_real_point(far, viewpoint),
             )
     with pytest.raises(BadInputError, match=f"no {lacking} part"):
-        fit_kinds(dataclasses.replace(CAPTURES, **{missing: None}), None)
+        fit_kinds(dataclasses.replace(CAPTURES, **{missing: None}), prescription("birdbath28"))
 
 
 @pytest.mark.parametrize("kind", ["grey-box", "prescription"])
@@ -99,7 +101,8 @@ def display_errors(fit: Calibration, truth: EyeOptics) -> tuple[FloatArray, Any]
     seen = mapping_error.observations_of_dirs(TracedDisplay(truth, 0.55), viewpoint, view_dir)
     place = np.broadcast_to(seen.viewpoint, (*seen.pixel.shape[:-1], 3))
     found = fit.mappings.display.view_dir_of_pixel(seen.pixel, place).value
-    return arcmin_between(found, seen.view_dir), fit.mappings.display.sigma(seen.pixel, place)
+    sigma = narrowed(fit.mappings.display, DisplayModel).sigma(seen.pixel, place)
+    return arcmin_between(found, seen.view_dir), sigma
 
 
 def rms(values: FloatArray) -> float:
@@ -198,9 +201,10 @@ def test_errors_of_display_and_see_through_vary_together_as_the_shared_variables
     shown = rng.uniform(display.low, display.high, (30, 4))
     seen = rng.uniform(see_through.low, see_through.high, (30, 4))
 
-    def values(fit) -> tuple[Any, Any]:
-        far = fit.see_through.mapping.deviation(seen)[:, :2]
-        return fit.display.mapping.forward(shown).ravel() / ARCMIN, far.ravel() / ARCMIN
+    def values(fit: Calibration) -> tuple[FloatArray, FloatArray]:
+        of_pixels, of_points = (each.mapping for each in fit.both)
+        far = narrowed(of_points, SeeThroughModel).deviation(seen)[:, :2]
+        return narrowed(of_pixels, DisplayModel).forward(shown).ravel() / ARCMIN, far.ravel() / ARCMIN
 
     errors = [np.stack(each) for each in zip(*map(values, fits), strict=True)]
     display_error, see_through_error = (each - each.mean(axis=0) for each in errors)
@@ -241,7 +245,7 @@ def test_captures_of_a_display_on_a_worse_stage_are_not_accused(kind: str) -> No
     assert 0.7 < error / predicted < 1.4
 
 
-def with_motion(side: FeatureCaptures) -> FeatureCaptures:
+def with_motion(side: AnyCaptures) -> AnyCaptures:
     """Captures that state how far the camera moved in each."""
     numbers = np.unique(side.visits[0])
     return dataclasses.replace(
@@ -267,14 +271,14 @@ def few_places_of_freeform40(seed: int) -> tuple[Eye, Captures]:
     setup = CaptureSetup(truth, 0.0, 5e-6, truth.field, (9, 8), stage_turn_rad=1.4e-5)
     rng = np.random.default_rng(seed)
     positions = setup.camera_positions("planar", 16)
-    sides = []
-    for take in (simulate_display, simulate_see_through):
-        side = take(setup, positions, rng)
+
+    def noisy(side: AnyCaptures) -> AnyCaptures:
         noise = 0.045 * ARCMIN / np.sqrt(2.0) * rng.standard_t(4, side.view_dir.shape)
         sigma = np.full(len(side), 0.045)
-        noisy = dataclasses.replace(side, view_dir=normalised(side.view_dir + noise), sigma_arcmin=sigma)
-        sides.append(with_motion(noisy))
-    return truth, Captures(*sides)
+        return with_motion(dataclasses.replace(side, view_dir=normalised(side.view_dir + noise), sigma_arcmin=sigma))
+
+    display = noisy(simulate_display(setup, positions, rng))
+    return truth, Captures(display, noisy(simulate_see_through(setup, positions, rng)))
 
 
 @pytest.mark.slow

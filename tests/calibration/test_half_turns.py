@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from calibration.bench.imperfect_bench import turned
 from wlr_render.calibration.calibrate_session import with_half_turns
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.boards.chessboard import Chessboard
-from wlr_render.captures.photo_session import BoardPhotograph, GivenPose
+from wlr_render.captures.photo_session import BoardPhotograph, GivenPose, PhotoSession
 from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -42,7 +43,12 @@ def resolved(
 ) -> list[int]:
     """Index of the first feature in each photograph, 0 where it is that of the true board."""
     names = [*boards, *tracking]
-    usual = {"targets": {}, "gauge_target": None, "device_from_tracking": UPSIDE_DOWN, "board_of": lambda _: BOARD}
+    usual: dict[str, object] = {
+        "targets": {},
+        "gauge_target": None,
+        "device_from_tracking": UPSIDE_DOWN,
+        "board_of": lambda _: BOARD,
+    }
     lists = {
         "bare": [photograph(name) for name in boards],
         "beside": [],
@@ -50,7 +56,7 @@ def resolved(
         "tracking": [photograph(name) for name in tracking],
     }
     reading = Reading({photograph(name).path: (boards | dict(tracking))[name] for name in names})
-    found = with_half_turns(SimpleNamespace(**lists, **(usual | session)), reading)
+    found = with_half_turns(cast(PhotoSession, SimpleNamespace(**lists, **(usual | session))), reading)
     return [int(found.boards[photograph(name).path].index[0].sum()) for name in names]
 
 

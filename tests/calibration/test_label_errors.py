@@ -9,18 +9,20 @@ import numpy as np
 import pytest
 from calibration.toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, scattered
 from numpy.typing import NDArray
-from present import present
+from present import narrowed, present
 
 from wlr_render.calibration import label_errors as label_error_module
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.calibration.label_errors import LabelError, label_errors
-from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
-from wlr_render.captures.feature_captures import CommonErrors, FeatureCaptures
+from wlr_render.captures.correspondences import AnyCaptures, Captures, DisplayCaptures, SeeThroughCaptures
+from wlr_render.captures.feature_captures import CommonErrors
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.jobs.headset import open_eye
 from wlr_render.models import registration
+from wlr_render.models.display_model import DisplayModel
+from wlr_render.models.see_through_model import SeeThroughModel
 
 SIGMA = 0.25
 DEPTHS = (0.6, 1.0, 1.7)
@@ -33,24 +35,24 @@ def places(seed: int, count: int) -> NDArray[Any]:
     return rng.permutation(grid + rng.uniform(-0.1, 0.1, grid.shape) * EYE_BOX.size[:2])
 
 
-def timed(captures: FeatureCaptures) -> FeatureCaptures:
+def timed(captures: AnyCaptures) -> AnyCaptures:
     """With the times and directions of travel that a session records, visit after visit."""
     visit = captures.visits[1]
     return replace(captures, time_s=np.asarray(30.0 * visit), travel=np.sign(np.sin(2.3 * visit)))
 
 
-def display(seed: int, count: int = 7) -> FeatureCaptures:
+def display(seed: int, count: int = 7) -> DisplayCaptures:
     return timed(display_captures(places(seed, count), sigma_arcmin=SIGMA, seed=seed))
 
 
-def drifted(seed) -> FeatureCaptures:
+def drifted(seed: int) -> DisplayCaptures:
     """A camera that turns by half an arcminute while it warms up."""
     captures = display(seed)
     warm = 1.0 - np.exp(-3.0 * captures.time_s / captures.time_s.max())
     return replace(captures, view_dir=dir_of_tangents(captures.tangents + np.outer(warm, [0.6, -0.4]) * ARCMIN))
 
 
-def flickering(seed: int) -> FeatureCaptures:
+def flickering(seed: int) -> DisplayCaptures:
     """A camera that turns to and fro by half an arcminute, faster than any drift of a fit."""
     captures = display(seed)
     slot = np.floor(6.0 * captures.time_s / (captures.time_s.max() + 1.0))
@@ -58,14 +60,14 @@ def flickering(seed: int) -> FeatureCaptures:
     return replace(captures, view_dir=dir_of_tangents(captures.tangents + turn))
 
 
-def screwed(seed, size_m: float = 12e-6) -> FeatureCaptures:
+def screwed(seed: int, size_m: float = 12e-6) -> DisplayCaptures:
     """A stage whose axis x has a lead screw with an error."""
     captures = display(seed)
     x, y, z = captures.viewpoint.T
     return replace(captures, viewpoint=np.column_stack([x + size_m * np.sin(2.0 * np.pi * x / 5e-3), y, z]))
 
 
-def board(seed: int, size_m: float = 0.0) -> FeatureCaptures:
+def board(seed: int, size_m: float = 0.0) -> SeeThroughCaptures:
     """Captures of one board at all poses; its printing errors are sums of waves shorter than the fit's."""
     rng, base = np.random.default_rng(seed), places(seed, 4)
     dot = np.stack(np.meshgrid(np.linspace(-0.25, 0.25, 13), np.linspace(-0.18, 0.18, 10)), axis=-1).reshape(-1, 2)
@@ -92,13 +94,13 @@ def board(seed: int, size_m: float = 0.0) -> FeatureCaptures:
             point=np.concatenate(stated),
             capture=np.tile(np.repeat(np.arange(len(base)), len(dot)), poses),
             target_pose=np.repeat(np.arange(poses), len(place)),
-            sigma_arcmin=SIGMA,
+            sigma_arcmin=np.full(len(place) * poses, SIGMA),
             target_point=np.tile(np.column_stack([dot, np.zeros(len(dot))]), (len(base) * poses, 1)),
         )
     )
 
 
-def curled(seed: int, size_arcmin: float = 0.05) -> FeatureCaptures:
+def curled(seed: int, size_arcmin: float = 0.05) -> SeeThroughCaptures:
     """A board that bends anew at each pose: a few smooth dents, rms over the readings."""
     captures, rng = board(seed), np.random.default_rng([seed, 1])
     dot, off = captures.target_point[:, :2], np.zeros((len(captures), 2))
@@ -110,7 +112,7 @@ def curled(seed: int, size_arcmin: float = 0.05) -> FeatureCaptures:
     return replace(captures, view_dir=dir_of_tangents(captures.tangents + off * ARCMIN))
 
 
-def murky(seed: int) -> FeatureCaptures:
+def murky(seed: int) -> DisplayCaptures:
     """Noise of which neighbours in a photograph share a half."""
     captures, rng = display(seed, 5), np.random.default_rng([seed, 2])
     place, shared = captures.pixel / np.ptp(captures.pixel, axis=0), np.zeros((len(captures), 2))
@@ -119,10 +121,10 @@ def murky(seed: int) -> FeatureCaptures:
         apart = np.linalg.norm(place[rows, None] - place[rows], axis=2)
         shared[rows] = np.linalg.cholesky(np.exp(-apart / 0.15)) @ rng.normal(0.0, SIGMA, (rows.sum(), 2))
     noisy = dir_of_tangents(captures.tangents + shared * ARCMIN)
-    return replace(captures, view_dir=noisy, sigma_arcmin=np.sqrt(2.0) * SIGMA)
+    return replace(captures, view_dir=noisy, sigma_arcmin=np.full(len(captures), np.sqrt(2.0) * SIGMA))
 
 
-def labels_of(fit: Callable[..., Any], captures: DisplayCaptures) -> tuple[LabelError, ...]:
+def labels_of(fit: Callable[..., Any], captures: DisplayCaptures | SeeThroughCaptures) -> tuple[LabelError, ...]:
     return label_errors(fit(captures, "planar", 3).smooth, captures)[0]
 
 
@@ -178,7 +180,7 @@ def test_noise_that_neighbours_share_is_no_finding() -> None:
 
 def test_a_named_error_is_in_the_predicted_one() -> None:
     without = fit_display(flickering(0), "planar", 3)
-    fit, captures = without.with_label_errors(), without.captures
+    fit, captures = without.with_label_errors(), narrowed(without.captures, DisplayCaptures)
     (named,) = [each for each in fit.labels if each.matters]
     assert set(present(fit.mapping.spread).sources) == {"drift", "stage axes", "direction of travel"}
     sigma, own = (each.mapping.sigma(captures.pixel, captures.viewpoint) for each in (fit, without))
@@ -191,18 +193,25 @@ def test_a_budget_from_the_model_file_names_what_the_labels_do(tmp_path: Path) -
     fit = calibrate(Captures(flickering(0), board(0, 2e-5)), display_degree=3, see_through_degree=3)
     models = open_eye(str(fit.save(tmp_path / "model.json")))
     rows, others = (np.random.default_rng(0).integers(0, len(each.captures), 300) for each in fit.both)
-    pixel, viewpoint = present(fit.display).captures.pixel[rows], present(fit.display).captures.viewpoint[rows]
-    point = present(fit.see_through).captures.point[others]
-    found = registration.model_registration_covariance(models.display, models.see_through, pixel, viewpoint, point)
+    shown, seen = (each.captures for each in fit.both)
+    pixel, viewpoint = narrowed(shown, DisplayCaptures).pixel[rows], shown.viewpoint[rows]
+    point = narrowed(seen, SeeThroughCaptures).point[others]
+    display_model, see_through_model = (
+        narrowed(models.display, DisplayModel),
+        narrowed(models.see_through, SeeThroughModel),
+    )
+    found = registration.model_registration_covariance(display_model, see_through_model, pixel, viewpoint, point)
     rms = {name: np.sqrt(np.nanmean(np.trace(each, axis1=-2, axis2=-1))) for name, each in found.items()}
-    for name, side, label in (
-        ("drift", fit.display, "time"),
-        ("printing errors of the board", fit.see_through, "dot"),
+    of_display, of_see_through = (side.labels for side in fit.both)
+    for name, labels, label in (
+        ("drift", of_display, "time"),
+        ("printing errors of the board", of_see_through, "dot"),
     ):
-        (named,) = [each.in_model_arcmin for each in present(side).labels if each.label == label]
+        (named,) = [each.in_model_arcmin for each in labels if each.label == label]
         assert rms[name] == pytest.approx(named, rel=0.2)
     more = [side.with_positions(viewpoint[:2]) for side in fit.both]
-    assert present(more[0].spread).sources == present(more[1].spread).sources == models.display.spread.sources
+    spreads = [present(each.spread).sources for each in (*more, display_model)]
+    assert spreads[0] == spreads[1] == spreads[2]
 
 
 def test_an_error_of_the_readings_is_propagated_to_the_model() -> None:

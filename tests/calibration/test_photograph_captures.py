@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from wlr_render.calibration.photograph_captures import (
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.decoded import DecodedSamples
-from wlr_render.captures.photo_session import CodeSet
+from wlr_render.captures.photo_session import CodeSet, PhotoSession
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
@@ -25,11 +26,14 @@ from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox, Panel
 
 CAMERA = LensCamera((640, 480), np.array([700.0, 700.0]), np.array([320.0, 240.0]), np.array([-0.1, 0, 0, 0, 0]))
-SESSION = SimpleNamespace(
-    device="headset",
-    eye="right",
-    eye_box=EyeBox(np.zeros(3), np.full(3, 0.01)),
-    pattern=SimpleNamespace(panel=Panel(20, 10)),
+SESSION = cast(
+    PhotoSession,
+    SimpleNamespace(
+        device="headset",
+        eye="right",
+        eye_box=EyeBox(np.zeros(3), np.full(3, 0.01)),
+        pattern=SimpleNamespace(panel=Panel(20, 10)),
+    ),
 )
 POSE = transforms.rigid(
     transforms.rotation_about("y", 0.1) @ transforms.OPENXR_FROM_OPENCV, np.array([0.002, 0.001, 0.03])

@@ -1,12 +1,11 @@
 """Forward and backward queries of fitted models of the shipped devices are each other's inverse."""
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pytest
 from fitted_eyes import captures
-from present import present
+from present import narrowed, present
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_report import ModelFit
@@ -14,6 +13,8 @@ from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.rays import distance_to_point, split
 from wlr_render.mappings import Status
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
@@ -26,14 +27,14 @@ kinds = pytest.mark.parametrize("kind", DEGREES)
 
 
 @lru_cache
-def fitted(device: str, kind: str) -> tuple[ModelFit, ModelFit]:
+def fitted(device: str, kind: str) -> tuple[ModelFit[FittedDisplay], ModelFit[FittedSeeThrough]]:
     made, (display, see_through) = captures(device, kind), DEGREES[kind]
     return fit_display(present(made.display), kind, display), fit_see_through(
         present(made.see_through), kind, see_through
     )
 
 
-def viewpoints(mapping) -> FloatArray:
+def viewpoints(mapping: FittedDisplay | FittedSeeThrough) -> FloatArray:
     return random_in_eye_box(mapping.eye_box, 30, np.random.default_rng(5))[:, None]
 
 
@@ -97,7 +98,7 @@ def test_contractions_of_the_shipped_devices_leave_no_doubt(device: str) -> None
     assert 0.001 < see_through.contraction < 0.1
 
 
-def see_through_field(see_through) -> tuple[Any, Any]:
+def see_through_field(see_through: FittedSeeThrough) -> tuple[FloatArray, FloatArray]:
     """Tangents that are inside the fit, nearly."""
-    polynomial = see_through.deviation
+    polynomial = narrowed(see_through, SeeThroughModel).deviation
     return 0.9 * polynomial.box.low[-2:], 0.9 * polynomial.box.high[-2:]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from fitted_eyes import fitted_eye
 from numpy.typing import NDArray
+from present import narrowed
 
 from wlr_render.calibration.self_calibration import (
     GROWTH,
@@ -25,7 +26,9 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, normalised
 from wlr_render.mappings import Eye, is_planar, require_planar
+from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.moved_panel import MovedPanelDisplay
+from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -40,7 +43,7 @@ def eye() -> Eye:
 
 
 def moved_by(
-    offset: tuple[float, float, float] = (0, 0, 0),
+    offset: tuple[float, float, float] | FloatArray = (0, 0, 0),
     shift: tuple[float, float] = (0, 0),
     growth: float = 0.0,
     turn_arcmin: tuple[float, float, float] = (0, 0, 0),
@@ -56,7 +59,7 @@ def dots(eye: Eye, count: int, rng: np.random.Generator) -> tuple[Any, Any]:
 
 
 def seen_pixel(
-    eye: Eye, truth: FloatArray, tracked: FloatArray, point: FloatArray, error_arcmin: float = 0.0
+    eye: Eye, truth: FloatArray, tracked: FloatArray, point: FloatArray, error_arcmin: float | FloatArray = 0.0
 ) -> FloatArray:
     """The pixel that is on a point, straight from the two mappings; written down apart from the package."""
     pupil = tracked + truth[OFFSET]
@@ -100,7 +103,8 @@ ONE_CAUSE_EACH = WearSettings(turn_arcmin=0.0, pointing_arcmin=0.0, tracking_m=0
 
 
 def test_without_noise_the_parameters_are_found_exactly(eye: Eye) -> None:
-    exact = replace(eye, display=eye.display.with_spread(None), see_through=eye.see_through.with_spread(None))
+    display, see_through = narrowed(eye.display, DisplayModel), narrowed(eye.see_through, SeeThroughModel)
+    exact = replace(eye, display=replace(display, spread=None), see_through=replace(see_through, spread=None))
     truth = TRUTH.copy()
     truth[TURN] = 0.0
     clicks = clicked(eye, truth, 20, np.random.default_rng(1))
@@ -152,7 +156,7 @@ def test_a_moved_planar_display_stays_one_for_the_shader_and_another_does_not_be
     pixel = moved.panel.grid(5, 4).reshape(-1, 2)
     place = np.broadcast_to(eye.eye_box.centre[:2], pixel.shape)
     at_calibration = pixel + [1.5, -0.5] + 1e-3 * (pixel - 0.5 * moved.panel.size_px)
-    of_still = eye.display.forward(np.concatenate([at_calibration, place], axis=1))
+    of_still = narrowed(eye.display, DisplayModel).forward(np.concatenate([at_calibration, place], axis=1))
     np.testing.assert_allclose(display.modelled(np.concatenate([pixel, place], axis=1)), of_still, atol=1e-12)
     traced = MovedPanelDisplay(traced_eye(load_device(DEVICE)).display, np.zeros(2))
     assert not is_planar(replace(eye, display=traced))
@@ -264,11 +268,12 @@ def test_clicks_at_one_dot_do_not_average_the_models_errors_away(eye: Eye) -> No
         ]
     )
     shift_arcmin = np.sqrt(np.trace(state.covariance[SHIFT, SHIFT])) * per_px
-    models = np.hypot(eye.display.sigma(pixel, tracked), eye.see_through.sigma(point, tracked))[0]
+    of_pixel = narrowed(eye.display, DisplayModel).sigma(pixel, tracked)
+    models = np.hypot(of_pixel, narrowed(eye.see_through, SeeThroughModel).sigma(point, tracked))[0]
     assert shift_arcmin == pytest.approx(models, rel=0.1)
 
 
-def one_click(eye, **changes: Any) -> dict[Any, Any]:
+def one_click(eye: Eye, **changes: Any) -> dict[Any, Any]:
     tracked, point = dots(eye, 1, np.random.default_rng(12))
     given = {"pixel": seen_pixel(eye, np.zeros(PARAMETERS), tracked, point), "point": point, "viewpoint": tracked}
     return given | {name: change(given[name]) for name, change in changes.items()}
@@ -290,7 +295,9 @@ def one_click(eye, **changes: Any) -> dict[Any, Any]:
         ({"point": lambda p: p + [3.0, 0.0, 0.0]}, "click 0: the point .* degrees from the pixel"),
     ],
 )
-def test_bad_clicks_are_refused_in_a_sentence(eye, changes: Mapping[str, Callable[..., Any]], sentence: str) -> None:
+def test_bad_clicks_are_refused_in_a_sentence(
+    eye: Eye, changes: Mapping[str, Callable[..., Any]], sentence: str
+) -> None:
     with pytest.raises(BadInputError, match=sentence):
         WearState.begin(eye).updated(Clicks(**one_click(eye, **changes)))
 
@@ -317,6 +324,6 @@ def test_clicks_most_of_which_contradict_each_other_are_refused(eye: Eye) -> Non
         (lambda eye: WearState.begin(eye).updated(Clicks(**one_click(eye)), click_arcmin=-2), "click_arcmin is -2"),
     ],
 )
-def test_bad_settings_are_refused_in_a_sentence(eye, make: Callable[..., Any], sentence: str) -> None:
+def test_bad_settings_are_refused_in_a_sentence(eye: Eye, make: Callable[..., Any], sentence: str) -> None:
     with pytest.raises(BadInputError, match=sentence):
         make(eye)

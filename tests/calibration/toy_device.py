@@ -4,7 +4,7 @@ Display: t = M (pixel - middle) + g(p~), so the pixel is polynomial in (p~, t) t
 (p~, t).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptu
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.display_model import DisplayModel
+from wlr_render.models.fitted_model import FittedDisplay
 from wlr_render.numerics.arrays import FloatArray
 
 PLANE = BasePlane(0.02)
@@ -90,13 +90,14 @@ def display_captures(
         view_dir=view_dir,
         pixel=pixel,
         capture=capture,
-        sigma_arcmin=sigma_arcmin,
+        sigma_arcmin=np.full(len(pixel), sigma_arcmin),
     )
 
 
-def errors_arcmin(mapping: DisplayModel, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def errors_arcmin(mapping: FittedDisplay, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """True and predicted error (200,) at random pixels and viewpoints of the eye box."""
-    place = rng.uniform(*EYE_BOX.at(np.array([[-1.0, -1, 0], [1, 1, 0]]))[:, :2], (200, 2))
+    low, high = EYE_BOX.at(np.array([[-1.0, -1, 0], [1, 1, 0]]))[:, :2]
+    place = rng.uniform(low, high, (200, 2))
     pixel = rng.uniform([100, 80], [900, 720], (200, 2))
     viewpoint = np.column_stack([place, np.full(200, PLANE.z)])
     seen = mapping.view_dir_of_pixel(pixel, viewpoint).value
@@ -105,7 +106,7 @@ def errors_arcmin(mapping: DisplayModel, rng: np.random.Generator) -> tuple[Floa
 
 def see_through_captures(
     in_plane: FloatArray,
-    depths: tuple[float, float] = (0.4, 3.0),
+    depths: Sequence[float] = (0.4, 3.0),
     tilt: float = 0.0,
     bend: Callable[..., Any] = bend_of,
     sigma_arcmin: float = 0.0,
@@ -133,5 +134,5 @@ def see_through_captures(
         point=np.concatenate(points),
         capture=np.tile(capture, repeat),
         target_pose=np.concatenate(poses),
-        sigma_arcmin=sigma_arcmin,
+        sigma_arcmin=np.full(len(viewpoint), sigma_arcmin),
     )

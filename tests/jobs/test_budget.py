@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fitted_eyes import with_source
+from present import narrowed
 
 from wlr_render.calibration.bench.common_errors import SOURCES
 from wlr_render.calibration.label_errors import REMEDIES
@@ -16,6 +17,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.jobs.budget import budget
 from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.mappings import Eye
+from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.model_file import EyeModel, load_eye_model, save_eye_models
 
 NO_TRACKER_ERRORS: dict[str, Any] = {
@@ -88,7 +90,8 @@ def test_both_eyes_have_disparity(straight_device: str, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("known_warp_grid")
 def test_an_old_model_is_told_how_to_get_a_covariance(small_panel_model: Eye, tmp_path: Path) -> None:
-    bare = replace(small_panel_model, display=replace(small_panel_model.display, spread=None))
+    display = narrowed(small_panel_model.display, DisplayModel)
+    bare = replace(small_panel_model, display=replace(display, spread=None))
     path = save_eye_models(tmp_path / "old.json", [EyeModel(bare, "northstar")])
     with pytest.raises(BadInputError, match=r"old\.json: .*no covariance.*calibrate again"):
         budget(BudgetOptions(str(path), out=tmp_path / "out"))

@@ -41,8 +41,10 @@ def test_a_bench_is_its_device_with_the_heights_of_its_effects(tmp_path: Path) -
     np.testing.assert_allclose(pixel, expected, atol=1e-6)
     assert np.abs(pixel - open_eye("northstar", "right").display.pixel_of_view_dir(ahead, middle).value).max() > 1.0
     assert effect_warnings(path) == effect_warnings("northstar") == []
-    left = [open_eye(spec, "left").display.pixel_of_view_dir(ahead, middle).value for spec in (path, "northstar")]
-    np.testing.assert_array_equal(*left)
+    of_file, shipped = (
+        open_eye(spec, "left").display.pixel_of_view_dir(ahead, middle).value for spec in (path, "northstar")
+    )
+    np.testing.assert_array_equal(of_file, shipped)
 
 
 def test_effects_of_a_bench_that_its_maps_do_not_have_are_said(straight_device: str, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from present import present
 
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.render import render
-from wlr_render.jobs.render_options import RenderOptions
+from wlr_render.jobs.render_options import Layout, RenderOptions
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.report.blocks import Report
 from wlr_render.scene.image_files import read_png
@@ -51,7 +51,7 @@ def labelled(frames_of: Callable[..., RenderOptions], straight_device: str) -> R
     return frames_of(layers=("depth", "instance"), misalignment=straight_device)
 
 
-def packed(drawn: RenderOptions, layout: str, **size: Any) -> tuple[Report, Any]:
+def packed(drawn: RenderOptions, layout: Layout, **size: Any) -> tuple[Report, Any]:
     """Pack frames that are drawn already; returns the report and the folder of the data set."""
     report = render(replace(drawn, pack=layout, **size))
     assert report.verdict.startswith("0 frames drawn")
@@ -107,7 +107,7 @@ def test_an_image_folder_has_a_line_and_a_picture_for_each_frame(labelled: Rende
 
 @pytest.mark.parametrize("layout", ["webdataset", "huggingface"])
 def test_a_data_set_names_its_sources_and_no_path_of_this_machine(
-    model_file: str, scene_file: str, tmp_path: Path, layout: str
+    model_file: str, scene_file: str, tmp_path: Path, layout: Layout
 ) -> None:
     """Who gets it can tell two headsets by their names and hashes."""
     render(RenderOptions(model_file, scene_file, method="raytrace", pack=layout, out=tmp_path / "secret"))
@@ -120,10 +120,10 @@ def test_a_data_set_names_its_sources_and_no_path_of_this_machine(
     for what, path, name in zip(("headset", "scene"), (model_file, scene_file), names, strict=True):
         assert stated[what] == name
         assert stated[f"{what}_sha256"] == hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    for path in folder.rglob("*"):
-        if path.is_file():
+    for file in folder.rglob("*"):
+        if file.is_file():
             for place in (tmp_path, Path(model_file).parent, Path(scene_file).parent):
-                assert str(place).encode() not in path.read_bytes(), path
+                assert str(place).encode() not in file.read_bytes(), file
 
 
 def test_hugging_face_reads_the_image_folder(
@@ -207,7 +207,7 @@ def test_a_pack_that_ends_while_it_is_moved_leaves_nothing(
 ) -> None:
     drawn, before = frames_of(), Path.replace
 
-    def replace_or_fail(path, target):
+    def replace_or_fail(path: Path, target: Path) -> Path:
         if target == drawn.out / "webdataset":
             raise fault
         return before(path, target)

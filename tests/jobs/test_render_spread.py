@@ -1,6 +1,7 @@
 """Frames that several processes draw are those that one draws."""
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 from jobs.test_render import moving_wearer, pictures
 
+from wlr_render.draw.painters import Painter
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import frame_drawing
 from wlr_render.jobs.frame_drawing import FrameBlock, FrameDrawing, OpenedFiles, draw_block
@@ -27,6 +29,19 @@ def whole(folder: Path) -> dict[Any, Any]:
     """All files of a folder of frames but the report, which has a date."""
     listed = {path.name: path.read_bytes() for path in Path(folder).iterdir() if not path.name.startswith("report.")}
     return listed | {"finished.jsonl": sorted(listed["finished.jsonl"].splitlines())}
+
+
+def opened_blocks(monkeypatch: pytest.MonkeyPatch) -> list[FrameBlock]:
+    """Blocks whose files a worker has opened, in a list that grows."""
+    opened: list[FrameBlock] = []
+    before = frame_drawing._open
+
+    def counted(block: FrameBlock) -> tuple[FrameDrawing, contextlib.ExitStack]:
+        opened.append(block)
+        return before(block)
+
+    monkeypatch.setattr(frame_drawing, "_open", counted)
+    return opened
 
 
 def block_of(options: RenderOptions) -> FrameBlock:
@@ -59,8 +74,14 @@ def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(
 def test_the_process_of_the_job_opens_what_draws_only_if_it_draws(
     moving: RenderOptions, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made, before = [], frame_drawing.FrameDrawing._painters.func
-    painters = cached_property(lambda drawing: made.append(drawing) or before(drawing))
+    made = []
+    before: Callable[[FrameDrawing], Mapping[str, Painter]] = vars(FrameDrawing)["_painters"].func
+
+    def counted(drawing: FrameDrawing) -> Mapping[str, Painter]:
+        made.append(drawing)
+        return before(drawing)
+
+    painters = cached_property(counted)
     painters.__set_name__(frame_drawing.FrameDrawing, "_painters")
     monkeypatch.setattr(frame_drawing.FrameDrawing, "_painters", painters)
     options = replace(moving, method="raytrace")
@@ -73,8 +94,8 @@ def test_the_process_of_the_job_opens_what_draws_only_if_it_draws(
 def test_a_worker_that_reads_another_file_is_refused(moving: RenderOptions) -> None:
     options = replace(moving, method="raytrace")
     block = block_of(options)
-    exchanged = dict(zip(block.inputs, reversed(block.inputs.values()), strict=True))
-    for inputs in ({path: "0" * 64 for path in block.inputs}, exchanged, block.inputs | {"more.obj": "0"}):
+    exchanged = dict(zip(block.inputs, reversed(list(block.inputs.values())), strict=True))
+    for inputs in ({path: "0" * 64 for path in block.inputs}, exchanged, {**block.inputs, "more.obj": "0"}):
         with pytest.raises(BadInputError, match=r"the worker on .* reads another file than the machine that started"):
             draw_block(replace(block, inputs=inputs))
     draw_block(replace(block, inputs={f"elsewhere/{path}": sha256 for path, sha256 in block.inputs.items()}))
@@ -94,8 +115,7 @@ def test_a_worker_releases_the_opengl_that_it_refuses(moving: RenderOptions, mon
 def test_a_worker_keeps_what_it_has_opened_for_the_frames_of_one_job(
     moving: RenderOptions, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    opened, before = [], frame_drawing._open
-    monkeypatch.setattr(frame_drawing, "_open", lambda block: opened.append(block) or before(block))
+    opened = opened_blocks(monkeypatch)
     moving.out.mkdir()
     block = block_of(replace(moving, method="raytrace"))
     draw_block(block)
@@ -113,8 +133,7 @@ def test_a_worker_keeps_what_it_has_opened_for_the_frames_of_one_job(
 def test_a_worker_opens_the_models_of_the_colours_again_when_they_are_exchanged(
     moving: RenderOptions, model_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    opened, before = [], frame_drawing._open
-    monkeypatch.setattr(frame_drawing, "_open", lambda block: opened.append(block) or before(block))
+    opened = opened_blocks(monkeypatch)
     moving.out.mkdir()
     other = moving.out / "other.json"
     other.write_text(Path(model_file).read_text().replace('"fitted"', '"other"'))

@@ -9,7 +9,7 @@ import threading
 import time
 import urllib.request
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -20,6 +20,7 @@ from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import photographs_in, read_photograph
 from wlr_render.errors import BadInputError
+from wlr_render.jobs.options import Code
 from wlr_render.jobs.show_pattern import PatternOptions, pattern
 from wlr_render.mappings import Panel
 from wlr_render.work.progress import Progress
@@ -32,17 +33,18 @@ class ImitatedPage(Progress):
     """Opens the page that the job names, and puts each picture that it shows into a file, the screen."""
 
     def __init__(self, screen: Path) -> None:
-        self.screen, self.shown = screen, []
+        self.screen = screen
+        self.shown: list[int] = []
 
-    def say(self, text) -> None:
+    def say(self, text: str) -> None:
         url = present(re.search(r"http://\S+/", text)).group(0)
         threading.Thread(target=self._run, args=(url,), daemon=True).start()
 
-    def _run(self, url) -> None:
+    def _run(self, url: str) -> None:
         with contextlib.suppress(OSError):  # the job has ended
             self._poll(url)
 
-    def _poll(self, url) -> None:
+    def _poll(self, url: str) -> None:
         with urllib.request.urlopen(url) as answer:
             root = answer.url.rsplit("/", 1)[0]
         number = -1
@@ -54,7 +56,7 @@ class ImitatedPage(Progress):
             number = wanted
             time.sleep(0.01)
 
-    def _show(self, root, number) -> None:
+    def _show(self, root: str, number: int) -> None:
         if 0 <= number < len(CODE.names()):
             name = f"{number:03d}_{CODE.names()[number].replace(' ', '_')}.png"
             with urllib.request.urlopen(f"{root}/{name}") as answer:
@@ -169,7 +171,7 @@ def test_the_pictures_of_a_code_are_written_in_the_order_of_showing(tmp_path: Pa
 
 def test_what_cannot_be_shown_is_refused_and_nothing_written(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="--pattern is grey; choose from gray"):
-        pattern(PatternOptions(panel=(64, 40), pattern="grey", out=tmp_path / "a"))
+        pattern(PatternOptions(panel=(64, 40), pattern=cast(Code, "grey"), out=tmp_path / "a"))
     with pytest.raises(
         BadInputError, match="--port is used with --photograph only; leave it out, or give --photograph"
     ):

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
 from calibration.bench.imperfect_bench import PERFECT, Imperfections, TrueBench, adjusted, start_of, thinned
-from present import present
+from present import narrowed, present
 
 from wlr_render.calibration.bench.adjustment import Adjustment
 from wlr_render.calibration.bench.bench_checks import bench_checks, prior_pulls, reading_pulls, significance
@@ -15,7 +16,9 @@ from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
 from wlr_render.calibration.bench.faults import adjust_without_faults
 from wlr_render.calibration.bench.lenses import sound_views
 from wlr_render.calibration.poses import Pose, motion_between, small_motion
+from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.errors import BadInputError
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 SEEDS = range(5)
@@ -163,7 +166,7 @@ def test_a_target_that_moved_is_named(when: str) -> None:
     found, faults = adjust_without_faults(replace(observations, views=views, places=places), adjusted)
     kinds = {each.kind for fault in faults for each in (fault, *fault.alternatives)}
     assert ("target before tracking" if when == "before" else "tracking") in kinds
-    assert set(CalibratedBench(None, found, faults, {}, (), ()).targets) == {first, first + 1}
+    assert set(CalibratedBench(cast(PhotoSession, None), found, faults, {}, (), ()).targets) == {first, first + 1}
     assert {fault.target for fault in faults} <= {first, first + 1}
     sentences = [check.sentence for check in bench_checks(found, faults) if not check.ok]
     assert when == "after" or any("the target moved at pose 0" in sentence for sentence in sentences)
@@ -180,7 +183,7 @@ def test_the_kind_of_lens_is_chosen_by_photographs_that_were_left_out() -> None:
     views = [view.only(view.feature.sum(axis=1) % 2 == 0) for view in bench.lens_views(EYEBALL, 14, 0.3)]
     observations = bench.observations(lens_photographs=3)
     found = sound_views(views, replace(observations.cameras[EYEBALL], kind="auto"), observations)
-    assert found.lens.kind == "rational"
+    assert narrowed(found.lens, LensCamera).kind == "rational"
     assert found.tried["rational"] < 0.7 * found.tried["brown"]
 
 
@@ -260,7 +263,7 @@ def test_a_search_without_an_end_contradicts_the_bench(solved: Sequence[tuple[Tr
     """Two targets of the tracking camera exchanged half way: no bench fits, and the search says that it found none."""
     sound = thinned(TrueBench(3).observations(lens_photographs=6))
     exchanged = ("tracking/pose0_after.png", "tracking/pose1_after.png")
-    views = [replace(each, target=1 - each.target) if each.name in exchanged else each for each in sound.views]
+    views = [replace(each, target=1 - present(each.target)) if each.name in exchanged else each for each in sound.views]
     assert all(found.is_settled for _, found in solved)
     wrong = adjusted(replace(sound, views=views))
     assert not wrong.is_settled

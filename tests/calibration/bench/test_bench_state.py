@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from calibration.bench.imperfect_bench import Imperfections, TrueBench, turned
 
-from wlr_render.calibration.bench.bench_blocks import EXACT, FEATURES, SMOOTH_DEGREE, Layout, lens_block
+from wlr_render.calibration.bench.bench_blocks import EXACT, FEATURES, SMOOTH_DEGREE, Block, Layout, lens_block
 from wlr_render.calibration.bench.board_views import EYEBALL, BoardView, CameraSetup
 from wlr_render.calibration.bench.normal_equations import residuals_of
 from wlr_render.calibration.bench.start import start_lens, start_state
@@ -131,7 +131,9 @@ def test_errors_of_a_visit_move_the_camera_of_a_second_mounting_as_stated(state:
     mount = small_motion(np.array([0.2, -1.0, 0.3, 0.01, 0.02, -0.03]))
     places = dict(state.observations.places)
     places[place] = replace(places[place], orientation=7)
-    second = {("base", 7): replace(state.blocks["base", 0], value=state.base[0] @ mount)}
+    second: dict[tuple[str, int | str], Block] = {
+        ("base", 7): replace(state.blocks["base", 0], value=state.base[0] @ mount)
+    }
     there = replace(state, observations=replace(state.observations, places=places), blocks={**state.blocks, **second})
     still = there.with_values({("offset", place): np.zeros(6)})
     before = still.device_from_camera(place)

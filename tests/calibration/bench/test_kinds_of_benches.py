@@ -1,14 +1,12 @@
 """Every kind of bench is adjusted: errors of poses are as large as their sigmas, with a real bench's imperfections."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from calibration.bench.imperfect_bench import TrueBench, adjusted, thinned, turned
-from numpy.typing import ArrayLike
-from present import present
 
 from wlr_render.calibration.bench.adjustment import Adjustment
 from wlr_render.calibration.bench.board_views import (
@@ -42,8 +40,8 @@ def about_y(reading: float) -> FloatArray:
 def observed(
     bench: TrueBench,
     axes: tuple[StageAxis, ...],
-    readings: ArrayLike | range,
-    sweep: ArrayLike,
+    readings: FloatArray | Sequence[FloatArray] | range,
+    sweep: FloatArray | Sequence[FloatArray],
     poses: Callable[..., Any],
     orientation: Callable[..., Any] = lambda number: 0,
     **known: Any,
@@ -205,7 +203,8 @@ def free_places(bench: TrueBench, count: int) -> Callable[..., Any]:
 
 @pytest.mark.parametrize("gauge", ["tracking camera", "stated targets", "fiducials"])
 def test_a_camera_in_the_hand_is_where_the_targets_beside_the_optics_say(gauge: str) -> None:
-    bench, known, own = TrueBench(8), {}, np.eye(4)
+    bench, own = TrueBench(8), np.eye(4)
+    known: dict[str, Any] = {}
     if gauge != "tracking camera":
         known["device_from_tracking"] = None
     if gauge == "stated targets":
@@ -226,7 +225,7 @@ def test_a_camera_in_the_hand_is_where_the_targets_beside_the_optics_say(gauge: 
         seen = replace(seen, views=views, tolerances=dict(seen.tolerances) | {"fiducials": USUAL_TOLERANCES})
     if gauge != "tracking camera":  # each place sees both targets, which ties them
         names = {f"bare/pose1_{k:02d}.png": f"bare/pose0_{k:02d}.png" for k in range(12)}
-        seen = replace(seen, views=[replace(v, place=names.get(present(v.place), v.place)) for v in seen.views])
+        seen = replace(seen, views=[replace(v, place=v.place and names.get(v.place, v.place)) for v in seen.views])
         true = {place: pose for place, pose in true.items() if place not in names}
         seen = replace(seen, places={place: seen.places[place] for place in true})
     assert_true(adjusted(seen), bench, true, own)

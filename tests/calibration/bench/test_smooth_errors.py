@@ -4,12 +4,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from calibration.bench.imperfect_bench import Imperfections, TrueBench, adjusted, thinned
-from present import present
+from present import narrowed, present
 from scipy.spatial.transform import Rotation
 
 from wlr_render.calibration.bench.adjustment import Adjustment
@@ -19,6 +19,7 @@ from wlr_render.calibration.bench.faults import worst_fault
 from wlr_render.calibration.bench.start import start_state
 from wlr_render.calibration.bench.station_file import load_station, save_station
 from wlr_render.calibration.poses import motion_between, small_motion
+from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.errors import BadInputError
 from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
@@ -68,7 +69,7 @@ class RippledBench(TrueBench):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.lens = {name: RippledLens(model) for name, model in self.lens.items()}
+        self.lens = {name: cast(LensCamera, RippledLens(model)) for name, model in self.lens.items()}
 
 
 class WarmBench(TrueBench):
@@ -83,11 +84,10 @@ class WarmBench(TrueBench):
         warm = 1.0 - np.exp(-self.order[self.visits] / 9.0)
         return super().camera_at(reading) @ small_motion(warm * self.turn)
 
-    def observations(self, *given: object, **named: Any) -> BenchObservations:
+    def observations(self, *given: Any, **named: Any) -> BenchObservations:
         found = super().observations(*given, **named)
         timed = zip(found.places.items(), self.order, strict=True)
-        timed = {name: replace(place, time_s=40.0 * k) for (name, place), k in timed}
-        return replace(found, places=timed)
+        return replace(found, places={name: replace(place, time_s=40.0 * k) for (name, place), k in timed})
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,9 @@ def test_a_board_in_a_station_file_has_its_smooth_errors(
     crumpled: Sequence[tuple[CrumpledBench, Adjustment]], tmp_path: Path
 ) -> None:
     bench, found = crumpled[0]
-    path = save_station(tmp_path / "station-right.json", CalibratedBench(None, found, (), {}, (), ()))
+    path = save_station(
+        tmp_path / "station-right.json", CalibratedBench(cast(PhotoSession, None), found, (), {}, (), ())
+    )
     expected = found.state.shape["board"].point_of(bench.feature, bench.nominal)
     np.testing.assert_allclose(
         present(load_station(path).shape).point_of(bench.feature, bench.nominal), expected, atol=2e-9
@@ -191,7 +193,7 @@ def test_a_session_without_times_has_no_drift() -> None:
     observations = TrueBench(1).observations(lens_photographs=3)
     few = {name: replace(place, time_s=9.0) for name, place in list(observations.places.items())[:5]}
     lens = TrueBench(1).lens
-    for places in (observations.places, observations.places | few):
+    for places in (observations.places, {**observations.places, **few}):
         assert not start_state(replace(observations, places=places), lens).of("drift")
 
 
@@ -213,7 +215,7 @@ def test_what_a_lens_model_leaves_is_in_its_lens_and_no_fault() -> None:
     for name, true in bench.lens.items():
         lens = found.state.lens[name]
         side = [np.linspace(0.1, 0.9, 15) * length for length in lens.size_px]
-        direction = true.model.dir_of_pixel(np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2))
+        direction = narrowed(true, RippledLens).model.dir_of_pixel(np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2))
         seen = lens.dir_of_pixel(true.pixel_of_point(direction))
         # The axis of a camera is where its lens model has it: directions count up to a turn.
         turn, _ = Rotation.align_vectors(seen, direction)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration.bench.wide_lens import CENTRE, SIZE, WideLens
+from present import narrowed
 
 from wlr_render.calibration.bench.adjustment import adjust
 from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations, CameraSetup
@@ -21,7 +22,7 @@ def test_a_wide_lens_is_found_to_the_last_feature(field_deg: int) -> None:
     views = true.views()
     alone = BenchObservations(views, {EYEBALL: CameraSetup(SIZE)}, {}, (), tolerances={"board": USUAL_TOLERANCES})
     sound = sound_views(views, alone.cameras[EYEBALL], alone)
-    assert sound.lens.kind == "fisheye"
+    assert narrowed(sound.lens, LensCamera).kind == "fisheye"
     assert not sound.rejected
     found = adjust(start_state(replace(alone, views=sound.views), {EYEBALL: sound.lens}))
     assert found.sizes.noise[EYEBALL] == pytest.approx(1.0, abs=0.1)
