@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 Change = Callable[[Path], object]
+Expected = Literal["refused", "warned", "right", "any", "read"]
 
 
 def nothing(folder: Path) -> None:
@@ -34,7 +35,7 @@ class Case:
     files: tuple[str, ...] = ()
     change: Change = nothing
     names: tuple[str, ...] = ()
-    expected: Literal["refused", "warned", "right", "any", "read"] = "refused"
+    expected: Expected = "refused"
     file: str = ""
     environment: dict[str, str] = field(default_factory=dict)
 

@@ -30,7 +30,8 @@ NUMBER = re.compile(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?")
 def damages(draw: Callable[..., Any]) -> Callable[[bytes], bytes]:
     """A function of a file's content that flips, cuts, doubles or replaces something at a random place."""
     kind = draw(st.sampled_from(["flip", "cut", "double", "drop", "number", "number", "number"]))
-    place, length, wrong = draw(st.floats(0, 1)), draw(st.integers(1, 60)), draw(st.sampled_from(WRONG))
+    place, length = draw(st.floats(0, 1)), draw(st.integers(1, 60))
+    wrong: bytes = draw(st.sampled_from(WRONG))
     bit = draw(st.integers(0, 7))
 
     def damage(content: bytes) -> bytes:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from corpus.case import Case
+from corpus.case import Case, Expected
 from corpus.judging import PROGRAM, faults, snapshot
 from corpus.program import Outcome
 
@@ -42,7 +42,7 @@ def run(command: str, folder: Path, **environment: Any) -> Outcome:
     return Outcome(done.returncode, done.stdout.decode(), done.stderr.decode(), False, 0.0, 0.0)
 
 
-def judged(folder: Path, command: str, expected: str, names: tuple[str, ...] = (), **environment: Any) -> Outcome:
+def judged(folder: Path, command: str, expected: Expected, names: tuple[str, ...] = (), **environment: Any) -> Outcome:
     before = snapshot(folder)
     outcome = run(command, folder, **environment)
     case = replace(Case("", (), names=names), expected=expected)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from corpus.case import Case, nothing, replaced, several, written
+from corpus.case import Case, Expected, nothing, replaced, several, written
 
 RENDER = ("render", "device.toml", "scene.toml", "--backend", "cpu", "--out", "out")
 FILES = ("device.toml", "scene.toml", "box.obj")
@@ -100,7 +100,7 @@ def cases() -> Iterator[Case]:
         change = replaced("device.toml", 'side = "right"', f'side = "right"\nfield_deg = {field}')
         yield Case(f"device: {title}", RENDER, FILES, change, ("device.toml", "field_deg"))
     for title, (old, new, word) in SCENES.items():
-        expected = "warned" if "1e30" in title else "refused"
+        expected: Expected = "warned" if "1e30" in title else "refused"
         yield Case(f"scene: {title}", RENDER, FILES, replaced("scene.toml", old, new), (word,), expected)
     behind = replaced("scene.toml", "position_m = [0, 0, -1.5]", "position_m = [0, 0, 900]")
     behind = several([behind, written("behind.toml", BEHIND)])

@@ -119,7 +119,11 @@ READERS = (
 
 
 def _put(content: bytes) -> Callable[[Path], None]:
-    return lambda path: _remove(path) or (path.write_bytes(content) and None)
+    def put(path: Path) -> None:
+        path.unlink()
+        path.write_bytes(content)
+
+    return put
 
 
 def _remove(path: Path) -> None:
@@ -155,7 +159,10 @@ def _half(path: Path) -> None:
 
 
 def _reencoded(encoding: str) -> Callable[[Path], None]:
-    return lambda path: path.write_bytes(path.read_bytes().decode("utf-8").encode(encoding)) and None
+    def reencode(path: Path) -> None:
+        path.write_bytes(path.read_bytes().decode("utf-8").encode(encoding))
+
+    return reencode
 
 
 # By name: the spoiling, and whether a reader may accept the result.

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from corpus.case import Case, Change, edited, replaced, several, written
+from corpus.case import Case, Change, Expected, edited, replaced, several, written
 from corpus.cases.hostile_files import DECODE, PAIRS, PAIRS_FILES
 from corpus.damage import HUGE
 
@@ -304,7 +304,7 @@ _WARNED = {"in millimetres", "a matrix of zeros"}
 def _mesh(kind: str, file: str, title: str, change: Change) -> Case:
     arguments = ("render", "device.toml", file, *END)
     name = Path(file).name
-    expected = "any" if title in _FINE else "warned" if title in _WARNED else "refused"
+    expected: Expected = "any" if title in _FINE else "warned" if title in _WARNED else "refused"
     names = () if expected == "any" else (f"{name}|nothing",) if expected == "warned" else (name,)
     return Case(f"mesh {kind}: {title}", arguments, ("device.toml", file.split("/")[0]), change, names, expected)
 

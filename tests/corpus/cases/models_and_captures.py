@@ -168,7 +168,7 @@ CAPTURES: dict[str, tuple[Change, tuple[str, ...]]] = {
     "viewpoints in millimetres": (_column("viewpoint", lambda v: 1000 * v), ("captures.npz", "viewpoint")),
     "viewpoints in micrometres": (_column("viewpoint", lambda v: 1e6 * v), ("captures.npz", "viewpoint")),
     "everything in millimetres": (
-        _arrays(lambda a: [_set(a, k, 1000 * a[k]) for k in ("viewpoint", "target_point")]),
+        _arrays(lambda a: a.update({k: 1000 * a[k] for k in ("viewpoint", "target_point")})),
         ("captures.npz",),
     ),
     "pixels a million off the panel": (
@@ -194,7 +194,7 @@ CAPTURES: dict[str, tuple[Change, tuple[str, ...]]] = {
     "a column of text": (_column("viewpoint", lambda v: v.astype(str)), ("captures.npz", "viewpoint")),
     "complex numbers": (_column("viewpoint", lambda v: v.astype(complex)), ("captures.npz", "viewpoint")),
     "no rows": (
-        _arrays(lambda a: [_set(a, k, v[:0]) for k, v in list(a.items()) if v.ndim]),
+        _arrays(lambda a: a.update({k: v[:0] for k, v in a.items() if v.ndim})),
         ("captures.npz",),
     ),
     "no viewpoints": (_arrays(lambda a: a.pop("viewpoint")), ("captures.npz", "viewpoint")),

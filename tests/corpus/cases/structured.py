@@ -85,7 +85,7 @@ def cases() -> Iterator[Case]:
     diagnose = ("diagnose", "bench", "--max-causes", "0", "--causes", "stage_scale", "--out", "out")
     yield from damaged("bench", tomllib.loads(BENCH), "bench/bench.toml", save_toml, diagnose, ("bench",), set())
     for file, content in (("optiland.json", OPTILAND), ("rayoptics.roa", RAYOPTICS)):
-        arguments = ("import-lens", file, *OPTICS)
+        arguments: tuple[str, ...] = ("import-lens", file, *OPTICS)
         yield from damaged("optics", content, file, save_json, arguments, ("glasses.agf",), set(TOLERANT))
     arguments = ("import-lens", "lens.zmx", *OPTICS, "--against", "report.json")
     yield from damaged("report", REPORT, "report.json", save_json, arguments, ("lens.zmx", "glasses.agf"), set(UNREAD))

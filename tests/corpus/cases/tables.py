@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from corpus.base_texts import EYES, GAZE, HEAD, HEAD_CSV, LENS_MRCAL, LENS_XML, LENS_YAML, PHOTO_SESSION
-from corpus.case import Case, Change, edited, replaced, several, written
+from corpus.case import Case, Change, Expected, edited, replaced, several, written
 from corpus.cases.hostile_files import DECODE, PHOTOS
 
 END = ("--backend", "cpu", "--out", "out")
@@ -97,6 +97,11 @@ def _gzip_bomb(folder: Path) -> None:
     (folder / "bench" / "display.csv.gz").write_bytes(packed.getvalue())
 
 
+def _without_tables(folder: Path) -> None:
+    for path in (folder / "bench").glob("*.csv.gz"):
+        path.unlink()
+
+
 BENCH: dict[str, Change] = {
     "a gzip bomb": _gzip_bomb,
     "stage in metres": _cell("stage_x_mm", lambda x: x / 1000, every=True),
@@ -127,7 +132,7 @@ BENCH: dict[str, Change] = {
     "escapes in its header": _table(lambda lines: [lines[0] + ",\x1b[31m\u202e", *[f"{x},1" for x in lines[1:]]]),
     "rows twice": _table(lambda lines: [*lines, *lines[1:]]),
     "both kinds of table": several([lambda f: (f / "bench" / "display.csv").write_bytes(b"capture\n1\n")]),
-    "no tables": several([lambda f: [path.unlink() for path in (f / "bench").glob("*.csv.gz")]]),
+    "no tables": _without_tables,
     "no bench.toml": several([lambda f: (f / "bench" / "bench.toml").unlink()]),
     "a device in the folder above": several(
         [replaced("bench/bench.toml", 'device = "northstar"', 'device = "../device.toml"')]
@@ -191,8 +196,10 @@ CAUSES: dict[str, str] = {
 def cases() -> Iterator[Case]:
     for title, (file, text) in TRAJECTORIES.items():
         option = "--head" if file.startswith("head") else "--eye-track"
-        arguments = ("render", "device.toml", "scene.toml", option, file, "--frames", "3", *END)
-        expected = "warned" if "far away" in title or title in ("a time of 1e18", "a place of 1e308") else "refused"
+        arguments: tuple[str, ...] = ("render", "device.toml", "scene.toml", option, file, "--frames", "3", *END)
+        expected: Expected = (
+            "warned" if "far away" in title or title in ("a time of 1e18", "a place of 1e308") else "refused"
+        )
         yield Case(f"trajectory {file}: {title}", arguments, RENDER_FILES, written(file, text), (file,), expected)
     for title, change in BENCH.items():
         words = (
@@ -209,14 +216,14 @@ def cases() -> Iterator[Case]:
             words if expected == "refused" else (),
             expected,
         )
-    for title, (old, new, words) in PHOTO.items():
+    for title, (old, new, word) in PHOTO.items():
         assert old in PHOTO_SESSION, title
         yield Case(
             f"photo session: {title}",
             PHOTOS,
             ("photos", "board.toml", "codes"),
             replaced("photos/session.toml", old, new),
-            (words,),
+            (word,),
         )
     for title, (file, text) in LENSES.items():
         stated = several([written(f"photos/{file}", text), _lens_stated(file)])
