@@ -1,5 +1,5 @@
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from browser import needs_browser, open_page
 from memo import memoised, shared_folder
-from present import present
+from present import as_number, present
 from small_headsets import changed_device
 
+from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import demo as job
 from wlr_render.jobs.demo import METHODS, DemoOptions, demo, judged_viewpoints, simulated_captures
 from wlr_render.jobs.headset import open_eye
-from wlr_render.report.blocks import Picture, Plot, Report
+from wlr_render.report.blocks import Cell, Picture, Plot, Report
 from wlr_render.scene.image_files import read_png
 from wlr_render.simulation.capture_setup import CaptureSetup
 
@@ -30,7 +31,7 @@ def take_few_captures(patch: pytest.MonkeyPatch, positions: int) -> None:
 def fit_straight_rays(patch: pytest.MonkeyPatch) -> None:
     """Have a demo of a device without optics calibrate with few positions, and models of low degrees."""
     take_few_captures(patch, 9)
-    patch.setattr(job, "calibrate", partial(job.calibrate, display_degree=2, see_through_degree=2))
+    patch.setattr(job, "calibrate", partial(calibrate, display_degree=2, see_through_degree=2))
 
 
 def made(folder: Path) -> Report:
@@ -49,7 +50,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     return memoised(made, shared)(shared / "demo"), shared / "demo" / "out"
 
 
-def overall_rows(report):
+def overall_rows(report: Report) -> Sequence[Sequence[Cell]]:
     return report.tables[0].rows
 
 
@@ -104,7 +105,7 @@ def test_pictures_and_tables_are_written(finished: tuple[Any, Path]) -> None:
 
 def test_the_verdict_has_the_figures_of_planar_static_and_naive(finished: tuple[Any, Path]) -> None:
     report = finished[0]
-    figures = {row[0]: [f"{value:.3g}'" for value in row[1:4]] for row in overall_rows(report)}
+    figures = {row[0]: [f"{as_number(value):.3g}'" for value in row[1:4]] for row in overall_rows(report)}
     assert "sculpture on northstar, right eye: misalignment with planar models is" in report.verdict
     places = [report.verdict.index(f"{f[0]}") for f in (figures[m] for m in ("raster + warp", "static", "naive"))]
     assert places == sorted(places)
@@ -118,7 +119,7 @@ def test_the_plot_of_the_distribution_agrees_with_the_table(finished: tuple[Any,
     for trace, row in zip(plot.data, overall_rows(finished[0]), strict=True):
         assert trace["name"] == row[0]
         at = dict(zip(trace["y"], trace["x"], strict=True))
-        np.testing.assert_allclose([at[50], at[95], at[100]], row[1:4], rtol=1e-3)
+        np.testing.assert_allclose([at[50], at[95], at[100]], [as_number(each) for each in row[1:4]], rtol=1e-3)
 
 
 def test_the_predicted_error_of_the_planar_models_is_about_the_true_one(finished: tuple[Any, Path]) -> None:

@@ -5,7 +5,7 @@ import io
 import json
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
@@ -19,19 +19,22 @@ from oracle.session_writer import write_session
 from present import present
 from small_photo_session import SmallSession
 
+from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_file import load_bench
 from wlr_render.bench.session_captures import captures_of
 from wlr_render.bench.session_folder import load_session, save_session
 from wlr_render.bench.simulate_session import dot_geometry, simulate
 from wlr_render.captures.correspondences import Captures
-from wlr_render.captures.session import select_rows
+from wlr_render.captures.session import Session, select_rows
 from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
+from wlr_render.diagnosis.cause import Cause
+from wlr_render.diagnosis.cause_selection import Progress
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.observations import readings_of_rows
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.report import Diagnosis
-from wlr_render.diagnosis.settings import DEFAULT
+from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.jobs import diagnose
 from wlr_render.numerics.arrays import FloatArray
 
@@ -39,7 +42,9 @@ SCALE_PERCENT = 0.4
 FEW = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_translation")}
 
 
-def with_few_causes(nominal, session, progress, causes, settings) -> Diagnosis:
+def with_few_causes(
+    nominal: Bench, session: Session, progress: Progress, causes: Mapping[str, Cause], settings: Settings
+) -> Diagnosis:
     """Diagnose with a third of the readings, and few causes unless the options choose others."""
     causes = FEW if causes == CAUSES else causes
     return procedure.diagnose(nominal, session, progress, causes, replace(settings, subsample=1500))
@@ -75,7 +80,7 @@ def measured_dots(folder: Path) -> FloatArray:
     return dot_geometry(nominal, present(measured.plan.see_through))[1]
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, CaptureResult]:
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, CaptureResult[str]]:
     status = main(["diagnose", *map(str, arguments)])
     return status, capsys.readouterr()
 
@@ -127,7 +132,11 @@ def test_captures_are_diagnosed_by_the_device_that_they_name(
 ) -> None:
     calibrated, out = tmp_path / "calibrated", tmp_path / "out"
     calibrated.mkdir()
-    untimed = Captures(*(replace(each, time_s=np.nan) for each in captures_of(*load_session(session)).both))
+    display, see_through = captures_of(*load_session(session)).both
+    untimed = Captures(
+        replace(display, time_s=np.full(len(display), np.nan)),
+        replace(see_through, time_s=np.full(len(see_through), np.nan)),
+    )
     untimed.save(calibrated / "captures-right.npz")
     status, printed = run(capsys, calibrated, "--device", "northstar", "--out", out)
     assert status == 0
@@ -297,7 +306,8 @@ def test_few_captures_are_diagnosed_with_what_cannot_be_told(
     kept = [present(display).capture == present(display).capture[0], np.zeros(len(see_through), dtype=bool)]
     for capture, pose in pairs:
         kept[1] |= (see_through.capture == capture) & (see_through.target_pose == pose)
-    plan = replace(whole.plan, display=select_rows(display, kept[0]), see_through=select_rows(see_through, kept[1]))
+    shown = select_rows(present(display), kept[0])
+    plan = replace(whole.plan, display=shown, see_through=select_rows(see_through, kept[1]))
     few = replace(whole, plan=plan, readings=readings_of_rows(whole.readings, [*kept, kept[0]]))
     folder = save_session(tmp_path / "few", bench, few)
     status, printed = run(capsys, folder, "--out", tmp_path / "out")
@@ -368,9 +378,11 @@ def test_stated_priors_reach_the_causes_and_go_where_the_corrected_bench_has_the
     session: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A prior of a cause that is found is not in the corrected bench: it would be expected there a second time."""
-    seen = {}
+    seen: dict[str, Cause] = {}
 
-    def quick(nominal, session, progress, causes, settings) -> Diagnosis:
+    def quick(
+        nominal: Bench, session: Session, progress: Progress, causes: Mapping[str, Cause], settings: Settings
+    ) -> Diagnosis:
         seen.update(causes)
         assert settings.max_causes == 0
         few = {name: causes[name] for name in FEW}

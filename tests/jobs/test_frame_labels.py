@@ -2,9 +2,10 @@
 
 import json
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import cv2
@@ -38,8 +39,9 @@ TWO_FRAMES = "".join(f"{time} 0.0 0.0 0.0 0.0 {time / 20} 0.0 {(1 - time**2 / 40
 
 
 @pytest.fixture
-def exr():
-    return pytest.importorskip("OpenEXR")
+def exr() -> ModuleType:
+    library: ModuleType = pytest.importorskip("OpenEXR")
+    return library
 
 
 @pytest.fixture
@@ -59,7 +61,7 @@ def labelled(tmp_path: Path, straight_device: str, scene_file: str, exr: object)
     )
 
 
-def decoded(segmentation) -> NDArray[Any]:
+def decoded(segmentation: Mapping[str, Any]) -> NDArray[Any]:
     """Mask of COCO's run lengths."""
     height, width = segmentation["size"]
     value = np.arange(len(segmentation["counts"])) % 2
@@ -186,7 +188,8 @@ def test_the_page_of_frames_reads_layers_as_it_says(labelled: RenderOptions) -> 
     render(replace(labelled, eye="right"))
     page = (Path(__file__).resolve().parents[2] / "docs" / "frames.md").read_text(encoding="utf-8")
     (code,) = (part.split("```")[0] for part in page.split("```python\n")[1:])
-    path, found = labelled.out / "right-000000.exr", {}
+    path = labelled.out / "right-000000.exr"
+    found: dict[str, Any] = {}
     exec(code.replace("out/set/right-000000.exr", str(path)), found)
     channels, _ = read_exr(path)
     np.testing.assert_array_equal(found["albedo"], np.stack([channels[f"albedo.{each}"] for each in "RGB"], axis=-1))

@@ -2,14 +2,16 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn, cast
 
 import numpy as np
 import pytest
+from present import as_number, narrowed
 
 from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.draw.painters import Frame
@@ -19,22 +21,27 @@ from wlr_render.geometry import transforms
 from wlr_render.gl import gl
 from wlr_render.gl.context import GlContext
 from wlr_render.io import kept
+from wlr_render.io.input_files import LIMITS
 from wlr_render.jobs import frame_drawing
 from wlr_render.jobs.budget import opened_with_sizes
 from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.demo import DemoOptions, demo
 from wlr_render.jobs.frame_plan import motion_of, planned_frames
 from wlr_render.jobs.headset import open_eye
+from wlr_render.jobs.options import Backend
 from wlr_render.jobs.render import render
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.mappings import Eye, EyeBox
+from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.model_file import load_eye_model, save_eye_models
+from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Report
 from wlr_render.scene.image_files import read_map, read_png, write_png
 from wlr_render.tracking.eye_trajectory_file import write_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import write_head_trajectory_tum
 from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory, ViewpointTrack
+from wlr_render.work.progress import Item, Progress
 
 
 def still_head(path: Path, times: FloatArray | Sequence[Any], turn_rate: float = 0.05) -> Path:
@@ -54,6 +61,16 @@ def moving_pupil(
     """A pupil that leaves `centre` at so many metres per second."""
     track = ViewpointTrack(np.asarray(times), centre + np.outer(np.asarray(times) - times[0], step_m))
     return write_eye_trajectory(path, EyeTrajectory({eye: track}))
+
+
+class PassedOn(Progress):
+    """Progress by a function of the items."""
+
+    def __init__(self, passed_on: Callable[[Iterable[Any]], Iterator[Any]]) -> None:
+        self.passed_on = passed_on
+
+    def __call__(self, items: Iterable[Item], total: int, label: str) -> Iterator[Item]:
+        return self.passed_on(items)
 
 
 def counts(report: Report) -> tuple[Any, Any]:
@@ -143,13 +160,13 @@ def test_a_sequence_that_filled_the_disk_ends_up_the_same_when_there_is_space_ag
     again = replace(moving, out=tmp_path / "resumed")
     before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
 
-    def disk_fills_up(items, total: object, label: object) -> Iterator[Any]:
+    def disk_fills_up(items: Iterable[Any]) -> Iterator[Any]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (min(map(len, pictures(moving.out).values())) - 1, most))
         yield from items
 
     try:
         with pytest.raises(BadInputError, match=r"right-000000\.png: cannot be written \(File too large\)"):
-            render(again, progress=disk_fills_up)
+            render(again, progress=PassedOn(disk_fills_up))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (before, most))
     render(again)
@@ -164,7 +181,7 @@ def test_no_frame_depends_on_the_frames_before_it(
     painted = []
     paint = WarpedPainter.paint
 
-    def spy(painter, *given: object, **options: Any) -> Frame:
+    def spy(painter: WarpedPainter, *given: Any, **options: Any) -> Frame:
         painted.append(painter)
         return paint(painter, *given, **options)
 
@@ -181,7 +198,7 @@ def test_no_frame_depends_on_the_frames_before_it(
 
 
 def test_an_interruption_leaves_whole_frames_only(options: RenderOptions, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(items, total: object, label: object) -> Iterator[Any]:
+    def interrupt(items: Iterable[Any]) -> Iterator[Any]:
         for number, item in enumerate(items):
             if number == 1:
                 raise KeyboardInterrupt
@@ -189,7 +206,7 @@ def test_an_interruption_leaves_whole_frames_only(options: RenderOptions, monkey
 
     both = replace(options, eye="both")
     with pytest.raises(KeyboardInterrupt):
-        render(both, progress=interrupt)
+        render(both, progress=PassedOn(interrupt))
     assert {path.name for path in both.out.iterdir()} == {
         "finished.jsonl",
         "left-000000.png",
@@ -260,11 +277,11 @@ def test_more_frames_than_a_disk_holds_are_refused(moving: RenderOptions, tmp_pa
 def test_a_sequence_whose_record_could_not_be_read_again_is_refused_before_it_is_drawn(
     moving: RenderOptions, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kept, "LIMITS", replace(kept.LIMITS, record_bytes=2000))
+    monkeypatch.setattr(kept, "LIMITS", replace(LIMITS, record_bytes=2000))
     with pytest.raises(BadInputError, match=r"finished\.jsonl of 5 files would have 0 MB.*; cut the job into several"):
         render(moving)
     assert not moving.out.exists()
-    monkeypatch.setattr(kept, "LIMITS", replace(kept.LIMITS, record_bytes=10_000))
+    monkeypatch.setattr(kept, "LIMITS", replace(LIMITS, record_bytes=10_000))
     with pytest.raises(BadInputError, match=r"finished\.jsonl of .* files would have 0 MB"):
         render(replace(moving, predicted_error=1.0))
     assert not moving.out.exists()
@@ -340,7 +357,7 @@ def test_a_file_that_has_changed_under_its_old_name_is_named(options: RenderOpti
     ],
     ids=lambda each: str(each)[:40],
 )
-def test_frames_of_unknown_origin_are_refused(options, ledger: int | str | None, sentence: str) -> None:
+def test_frames_of_unknown_origin_are_refused(options: RenderOptions, ledger: int | str | None, sentence: str) -> None:
     options.out.mkdir()
     (options.out / "right-000000.png").write_bytes(b"a picture")
     path = options.out / "finished.jsonl"
@@ -359,7 +376,7 @@ def test_frames_of_unknown_origin_are_refused(options, ledger: int | str | None,
 
 
 def test_a_disk_that_is_full_when_a_frame_is_listed_ends_the_run_and_the_next_one_goes_on(
-    moving: RenderOptions, file_size_limit: Callable[[int], Iterator[None]]
+    moving: RenderOptions, file_size_limit: Callable[[int], AbstractContextManager[None]]
 ) -> None:
     render(moving)
     whole = pictures(moving.out)
@@ -379,7 +396,7 @@ def test_a_disk_that_is_full_when_a_frame_is_listed_ends_the_run_and_the_next_on
 def test_backend_and_video_may_change_between_runs(options: RenderOptions, gl_context: GlContext) -> None:
     options = replace(options, backend="auto")
     render(options)
-    assert counts(render(replace(options, backend=gl_context.backend, video=False))) == (0, 1)
+    assert counts(render(replace(options, backend=cast(Backend, gl_context.backend), video=False))) == (0, 1)
     with pytest.raises(BadInputError, match="--method was raster and is raytrace"):
         render(replace(options, backend="cpu"))
 
@@ -408,7 +425,7 @@ def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(
     assert {row[1] for row in rows} == sources | {"all"}
     of_frames = [each["rms_arcmin"] for frame in record for each in frame["sources"] if each["name"] == rows[0][1]]
     assert rows[0][2] == pytest.approx(np.sqrt(np.mean(np.square(of_frames))))
-    assert np.linalg.norm([row[2] for row in rows[:-1]]) == pytest.approx(rows[-1][2])
+    assert np.linalg.norm([as_number(row[2]) for row in rows[:-1]]) == pytest.approx(rows[-1][2])
     worst = [max(each[name] for each in record) for name in ("rms_arcmin", "radius_arcmin")]
     assert report.tables[0].rows[0][4:] == worst
     (job.out / "right-000002-error.tiff").write_bytes(b"")
@@ -424,8 +441,9 @@ def test_a_model_without_covariance_has_no_predicted_error_and_writes_no_frame(
     fitted: RenderOptions, tmp_path: Path
 ) -> None:
     model = load_eye_model(fitted.headset)
-    bare = [replace(each, spread=None) for each in (model.mappings.display, model.mappings.see_through)]
-    mappings = replace(model.mappings, display=bare[0], see_through=bare[1])
+    display = replace(narrowed(model.mappings.display, DisplayModel), spread=None)
+    see_through = replace(narrowed(model.mappings.see_through, SeeThroughModel), spread=None)
+    mappings = replace(model.mappings, display=display, see_through=see_through)
     old = save_eye_models(tmp_path / "old.json", [replace(model, mappings=mappings)])
     with pytest.raises(BadInputError, match=r"old\.json.*has no covariance"):
         render(replace(fitted, headset=str(old), predicted_error=0.5))
@@ -501,14 +519,14 @@ def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_named(moving: Re
 
 
 def test_a_second_job_in_the_same_folder_is_refused_at_once(options: RenderOptions) -> None:
-    def second(items, total: object, label: object) -> Iterator[Any]:
+    def second(items: Iterable[Any]) -> Iterator[Any]:
         with pytest.raises(
             BadInputError, match=rf"frames: render \(process {os.getpid()}\) is writing into this folder"
         ):
             demo(DemoOptions(out=options.out))
         yield from items
 
-    assert counts(render(options, progress=second)) == (1, 0)
+    assert counts(render(options, progress=PassedOn(second))) == (1, 0)
     assert not [path for path in options.out.iterdir() if path.name.startswith(".")]
 
 
@@ -588,7 +606,8 @@ def test_path_traced_frames_resume_and_are_those_of_one_seed(
     assert counts(render(options)) == (0, 1)
     with pytest.raises(BadInputError, match="--seed was 0 and is 1"):
         render(replace(options, seed=1))
-    for change, is_same in (({}, True), ({"seed": 1}, False), ({"bounces": 0}, False)):
+    changes: list[tuple[dict[str, Any], bool]] = [({}, True), ({"seed": 1}, False), ({"bounces": 0}, False)]
+    for change, is_same in changes:
         render(replace(options, out=tmp_path / f"again{change}", **change))
         assert (pictures(tmp_path / f"again{change}") == first) == is_same
 
@@ -602,7 +621,7 @@ def test_missing_mitsuba_leaves_nothing_behind(options: RenderOptions, monkeypat
 
 @pytest.mark.parametrize(("backend", "sentence"), [("cpu", "--backend cpu: frames are"), ("auto", "No OpenGL 4.1")])
 def test_without_opengl_frames_are_ray_traced_and_the_report_says_so(
-    options: RenderOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: str, sentence: str
+    options: RenderOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: Backend, sentence: str
 ) -> None:
     def refuse(backend: object = "auto") -> NoReturn:
         raise MissingGlError("No OpenGL.")
@@ -688,10 +707,13 @@ def test_the_last_frame_is_not_rounded_beyond_the_track(options: RenderOptions, 
 
 
 @pytest.mark.parametrize("suffix", ["tiff", "pfm"])
-def test_maps_lead_from_the_panel_into_the_intermediate_image(options: RenderOptions, suffix: str) -> None:
+def test_maps_lead_from_the_panel_into_the_intermediate_image(
+    options: RenderOptions, suffix: Literal["tiff", "pfm"]
+) -> None:
     assert counts(render(replace(options, maps=suffix))) == (1, 0)
     source = read_map(options.out / f"right-000000.{suffix}")
-    assert (source.shape, source.dtype) == ((36, 64, 3), np.float32)
+    assert source.shape == (36, 64, 3)
+    assert source.dtype == np.float32
     # Without optics the map is affine in the pixel, and its third channel the inverse depth: ball and wall.
     across = np.diff(source[..., 0], axis=1)
     np.testing.assert_allclose(across, across.mean(), atol=1e-3)

@@ -22,6 +22,7 @@ from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions, FitOptions
 from wlr_render.jobs.calibrate.photos import report_of
 from wlr_render.models.model_file import load_eye_model, load_eye_models
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.report.blocks import Report, ReportTable
@@ -66,7 +67,9 @@ def rows_of(report: Report, title: str) -> dict[Any, Any]:
     return {row[0]: row[1:] for row in narrowed(table, ReportTable).rows}
 
 
-def assert_poses(found: SessionCalibration, entries: tuple[CodeSet, ...], places: Sequence[Any]) -> None:
+def assert_poses(
+    found: SessionCalibration, entries: tuple[CodeSet, ...], places: FloatArray | Sequence[FloatArray]
+) -> None:
     off = [
         motion_between(found.bench.camera_pose(each).b_from_a, true) for each, true in zip(entries, places, strict=True)
     ]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from browser import needs_browser, open_page
 from numpy.typing import NDArray
-from present import present
+from present import narrowed, present
 from scipy.stats import chi2
 from small_photo_session import VIEWPOINTS, SmallSession, small_plan
 
@@ -22,7 +22,9 @@ from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.geometry.directions import ARCMIN, arcmin_between
 from wlr_render.jobs.calibrate.photos import calibrated, report_of
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.models.model_file import load_eye_model
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import save_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Plot, Report, Section
@@ -56,10 +58,10 @@ def bench(calibrated_session: tuple[SmallSession, SessionCalibration, Report]) -
     return calibrated_session[0].bench
 
 
-def probability(true, pose: Pose):
+def probability(true: FloatArray, pose: Pose) -> float:
     """Of an error of a pose as large as this one, by its covariance."""
     motion = motion_between(true, pose.b_from_a)
-    return chi2.sf(motion @ np.linalg.solve(pose.covariance, motion), 6)
+    return float(chi2.sf(motion @ np.linalg.solve(pose.covariance, motion), 6))
 
 
 def test_camera_and_target_are_where_they_are_found_within_their_sigmas(
@@ -85,7 +87,7 @@ def test_every_check_passes_and_nothing_is_left_unchecked(found: SessionCalibrat
 def test_lenses_are_found_within_their_sigmas(found: SessionCalibration, bench: PhotoBench) -> None:
     adjustment = found.bench.adjustment
     for name, true in (("eyeball", bench.eyeball.camera), ("tracking", bench.tracking.camera)):
-        lens = adjustment.state.lens[name]
+        lens = narrowed(adjustment.state.lens[name], LensCamera)
         sigma = np.sqrt(np.diag(adjustment.covariance_of([("lens", name)])))[:4]
         off = np.concatenate([lens.focal_px - true.focal_px, lens.centre_px - true.centre_px])
         assert np.all(np.abs(off) < 4 * sigma)
@@ -231,7 +233,7 @@ def test_a_second_run_reads_nothing_and_has_the_same_readings(
         assert np.array_equal(other.samples.panel_pixel, panel.samples.panel_pixel)
 
 
-def with_another_corner(photograph) -> NDArray[Any]:
+def with_another_corner(photograph: NDArray[Any]) -> NDArray[Any]:
     """One pixel far from the board is another: the file is not the same, and what is read in it is."""
     changed = np.copy(photograph)
     changed[0, 0] ^= 1

@@ -5,6 +5,7 @@ import os
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ RESULTS = ("model.json", "captures-right.npz", "station-right.json", "report.htm
 
 
 def command_line(
-    session: SmallSession, capsys: pytest.CaptureFixture[str], *options: object
+    session: SmallSession, capsys: pytest.CaptureFixture[str], *options: str
 ) -> tuple[int, str, list[str]]:
     """Exit status, tables and complaints, without the progress bar, of a calibration that has no results yet."""
     for name in RESULTS:
@@ -68,12 +69,12 @@ def test_it_is_no_fault_of_the_session(photo_session: SmallSession, spoil: Calla
 # The session is not what session.toml says: named, exit status 2, and everything else calibrated.
 
 
-def without_a_board(session) -> None:
+def without_a_board(session: SmallSession) -> None:
     os.remove(session.folder / SEEN)
     os.link(session.folder / SET / "000_white.png", session.folder / SEEN)
 
 
-def another_size(session) -> None:
+def another_size(session: SmallSession) -> None:
     session.repaint(SEEN, lambda image: image[:200])
 
 
@@ -81,7 +82,7 @@ def missing(session: SmallSession) -> None:
     os.remove(session.folder / SEEN)
 
 
-def a_pipe(session) -> None:
+def a_pipe(session: SmallSession) -> None:
     """In place of a photograph that an earlier run has read, which nobody writes into."""
     session.read()
     os.remove(session.folder / SEEN)
@@ -108,34 +109,39 @@ def test_a_board_photograph_that_is_not_what_it_should_be_is_a_fault(
     assert len(found.boards) == 47
 
 
-def paths(session: SmallSession) -> list[Any]:
+def paths(session: SmallSession) -> list[Path]:
     return sorted((session.folder / SET).iterdir())
 
 
-def each_of_the_set(session, paint: Callable[..., Any]) -> None:
+def each_of_the_set(session: SmallSession, paint: Callable[..., Any]) -> None:
     for path in paths(session):
         session.repaint(path.relative_to(session.folder), paint)
 
 
-def no_picture_left(session) -> None:
+def no_picture_left(session: SmallSession) -> None:
     for path in paths(session):
         path.unlink()
 
 
-def one_too_many(session) -> None:
+def one_too_many(session: SmallSession) -> None:
     os.link(paths(session)[-1], session.folder / SET / "999.png")
 
 
 def swapped(first: int, second: int) -> Callable[[Any], None]:
-    def spoil(session) -> None:
+    def spoil(session: SmallSession) -> None:
         found = paths(session)
         session.swap(found[first].relative_to(session.folder), found[second].relative_to(session.folder))
 
     return spoil
 
 
-SET_FAULTS = {
-    "both of a bit missing": (lambda s: [path.unlink() for path in paths(s)[4:6]], "one of the two is needed to read"),
+def without_a_bit(session: SmallSession) -> None:
+    for path in paths(session)[4:6]:
+        path.unlink()
+
+
+SET_FAULTS: dict[str, tuple[Callable[[SmallSession], None], str]] = {
+    "both of a bit missing": (without_a_bit, "one of the two is needed to read"),
     "one too many": (one_too_many, "999.png: its name states no picture of the code"),
     "all missing": (no_picture_left, "holds no photographs"),
     "folder missing": (lambda s: shutil.rmtree(s.folder / SET), "there is no such folder"),

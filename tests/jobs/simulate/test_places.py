@@ -3,13 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from present import present
 from small_photo_session import far_panel_device, make_small
 
+from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.places_file import in_random_order, places_csv, read_places
@@ -62,7 +63,7 @@ def test_a_session_visits_the_places_in_their_order(options: SimulateOptions) ->
     plan = plan_photographs(bench, recipe.viewpoints)
     assert plan.sweep == pytest.approx(1e-3 * np.array(ROWS), abs=1e-12)
     visits = true_camera_poses(bench, plan)
-    session = planned_session(options.out, bench, plan, visits, None)
+    session = planned_session(options.out, bench, plan, visits, cast(Pattern, None))
     stated = np.array([each.stage for each in session.display])
     assert stated == pytest.approx(plan.sweep, abs=5e-6)
     assert len(session.see_through) == (3 + 1) * len(bench.device_from_target)
