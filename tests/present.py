@@ -2,6 +2,8 @@
 
 from typing import TypeVar
 
+import numpy as np
+
 Value = TypeVar("Value")
 
 
@@ -19,5 +21,5 @@ def narrowed(value: object, kind: type[Value]) -> Value:
 
 def as_number(cell: object) -> float:
     """Return a cell of a table that is a number."""
-    assert isinstance(cell, int | float)
-    return cell
+    assert isinstance(cell, int | float | np.integer | np.floating)
+    return float(cell)

@@ -114,7 +114,7 @@ def test_the_plate_is_found_and_predicts_the_other_distance(
     report = diagnose(DiagnoseOptions(folder, causes=tuple(FEW), hold_out=True, out=tmp_path / "out"))
     *_, table, values = report.tables
     thick = values.rows[0]
-    assert thick[:2] == ["see_through_plate", "thickness"]
+    assert thick[:2] == ["see_through_plate", "thickness (mm)"]
     by_diagnosis, by_captures = map(as_number, thick[-2:])
     assert 0.3 * by_diagnosis < by_captures < 3.0 * by_diagnosis
     assert [row[:2] for row in table.rows] == [
