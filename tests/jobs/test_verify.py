@@ -16,7 +16,7 @@ from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.verify import VerifyOptions, verify
-from wlr_render.lenses.lens_camera import LensCamera
+from wlr_render.lenses.residual_lens import ResidualLens
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
 
@@ -43,7 +43,7 @@ def test_a_known_displacement_is_measured(photo_session: SmallSession, pairs: Pa
     overall, each = report.tables
     assert [row[:2] for row in each.rows] == [["left", "traced"], ["left", "warped"]]
     medians = {row[0]: row[2] for row in overall.rows}
-    camera = narrowed(load_station(photo_session.out / "station-right.json").eyeball_camera, LensCamera)
+    camera = narrowed(load_station(photo_session.out / "station-right.json").eyeball_camera, ResidualLens)
     middle = camera.centre_px
     one_shift = float(arcmin_between(camera.dir_of_pixel(middle), camera.dir_of_pixel(middle + [SHIFT_PX, 0.0])))
     assert as_number(medians["traced"]) < 0.01

@@ -25,7 +25,7 @@ class _Uniforms:
     def __init__(self) -> None:
         self._handles: dict[str, Any] = {}
         self._written: dict[str, object] = {}
-        self.units: dict[str, tuple[int, int]] = {}  # per sampler: the first texture unit, and the one after the last
+        self.units: dict[str, tuple[int, ...]] = {}  # texture units of each sampler
 
     @staticmethod
     def of(program: Any) -> "_Uniforms":
@@ -71,19 +71,21 @@ def bind_textures(program: Any, **textures: Any) -> None:
     """Give each sampler of a program its texture, and each array of samplers its textures.
 
     Call it in a drawing block and bind textures of these units in no other way: a texture that was bound to a unit
-    before is not bound again.
+    before is not bound again. Samplers of one texture share a unit.
     """
-    free, uniforms, on_units = 0, _Uniforms.of(program), _textures_on_units(program.ctx)
+    uniforms, on_units = _Uniforms.of(program), _textures_on_units(program.ctx)
+    units: dict[int, int] = {}  # by the identity of a texture
     for name, given in textures.items():
-        first = free
+        of_name = []
         for texture in given if isinstance(given, list | tuple) else (given,):
-            if on_units.get(free) is not texture:
-                texture.use(free)
-                on_units[free] = texture
-            free += 1
-        if uniforms.units.get(name) != (first, free):
-            uniforms.set(program, name, None, np.arange(first, free, dtype=np.int32).tobytes())
-            uniforms.units[name] = first, free
+            unit = units.setdefault(id(texture), len(units))
+            if on_units.get(unit) is not texture:
+                texture.use(unit)
+                on_units[unit] = texture
+            of_name.append(unit)
+        if uniforms.units.get(name) != (now := tuple(of_name)):
+            uniforms.set(program, name, None, np.array(now, dtype=np.int32).tobytes())
+            uniforms.units[name] = now
 
 
 def forget_textures(ctx: Any) -> None:

@@ -22,7 +22,7 @@ from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.geometry.directions import ARCMIN, arcmin_between
 from wlr_render.jobs.calibrate.photos import calibrated, report_of
-from wlr_render.lenses.lens_camera import LensCamera
+from wlr_render.lenses.residual_lens import ResidualLens
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import save_device
@@ -87,7 +87,7 @@ def test_every_check_passes_and_nothing_is_left_unchecked(found: SessionCalibrat
 def test_lenses_are_found_within_their_sigmas(found: SessionCalibration, bench: PhotoBench) -> None:
     adjustment = found.bench.adjustment
     for name, true in (("eyeball", bench.eyeball.camera), ("tracking", bench.tracking.camera)):
-        lens = narrowed(adjustment.state.lens[name], LensCamera)
+        lens = narrowed(adjustment.state.lens[name], ResidualLens)
         sigma = np.sqrt(np.diag(adjustment.covariance_of([("lens", name)])))[:4]
         off = np.concatenate([lens.focal_px - true.focal_px, lens.centre_px - true.centre_px])
         assert np.all(np.abs(off) < 4 * sigma)
