@@ -62,6 +62,7 @@ vec2 missed_by_triangles(int channel)
 // The mean over a display pixel, whose sides appear in the image as `across` and `down`.
 vec4 filtered_light(vec2 pixel, vec2 across, vec2 down)
 {
+#if FILTERED
     // Tested at its end: software renderers run one round too many of a loop that is tested at its head.
     vec4 sum = vec4(0.0);
     float i = 0.0, count = samples_per_axis * samples_per_axis;
@@ -72,6 +73,9 @@ vec4 filtered_light(vec2 pixel, vec2 across, vec2 down)
         i += 1.0;
     } while (i < count);
     return sum / count;
+#else
+    return textureLod(picture, pixel * per_texel, 0.0);
+#endif
 }
 
 #if OVERLAYS
@@ -103,45 +107,54 @@ vec3 code_of(vec3 light)
 #endif
 }
 
+vec3 light = vec3(0.0);
+float alpha = 0.0;
+int worst = SEEN;
+vec2 seen_at = vec2(0.0);
+
+// Called with constants: a loop that is not unrolled would index the interpolants at run time.
+void add_channel(const int channel)
+{
+    bool lost = known[channel] == 0.0;
+    vec2 at_infinity = lost ? vec2(0.0) : path[channel].xy + missed_by_triangles(channel);
+    vec2 shift = lost ? vec2(0.0) : path[channel].zw;
+    vec2 pixel;
+#if MARCH
+    int status = march(at_infinity, shift, pixel);
+#else
+    // All that the image shows near here lies within DIRECT_PX.
+    vec2 nearby = at_infinity + 0.5 * (range.x + range.y) * shift;
+    pixel = at_infinity + texture(inverse_depth, nearby * per_texel).r * shift;
+    int status = SEEN;
+#endif
+    float margin = is_inset ? 0.5 : 0.0;
+    bool inside = all(greaterThanEqual(pixel, vec2(margin))) && all(lessThanEqual(pixel, size_px - margin));
+    inside = inside || filled == 1.0;  // never a hole, whatever the depths
+    status = lost ? NO_RAY : (inside ? status : OUTSIDE);
+    bool found = status <= DISOCCLUDED;
+
+    vec4 sampled = filtered_light(pixel, dFdx(path[channel].xy), dFdy(path[channel].xy));
+    vec3 share = CHANNELS == 1 ? vec3(1.0) : vec3(equal(ivec3(0, 1, 2), ivec3(channel)));
+    vec4 seen = found ? vec4(sampled.rgb, max(sampled.a, opaque)) : vec4(background, opaque);
+#if OVERLAYS
+    for (int k = 0; k < overlay_count; ++k) {
+        vec4 over = overlay_light(k, at_infinity, shift);
+        seen = lost ? seen : over + (1.0 - over.a) * seen;
+    }
+#endif
+    light += share * seen.rgb;
+    alpha = channel == CHANNELS / 2 ? seen.a : alpha;
+    worst = max(worst, status);
+    seen_at = channel == CHANNELS / 2 ? (found ? pixel : vec2(NOWHERE)) : seen_at;
+}
+
 void main()
 {
-    vec3 light = vec3(0.0);
-    float alpha = 0.0;
-    int worst = SEEN;
-    vec2 seen_at = vec2(0.0);
-    for (int channel = 0; channel < CHANNELS; ++channel) {
-        bool lost = known[channel] == 0.0;
-        vec2 at_infinity = lost ? vec2(0.0) : path[channel].xy + missed_by_triangles(channel);
-        vec2 shift = lost ? vec2(0.0) : path[channel].zw;
-        vec2 pixel;
-#if MARCH
-        int status = march(at_infinity, shift, pixel);
-#else
-        // All that the image shows near here lies within DIRECT_PX.
-        vec2 nearby = at_infinity + 0.5 * (range.x + range.y) * shift;
-        pixel = at_infinity + texture(inverse_depth, nearby * per_texel).r * shift;
-        int status = SEEN;
+    add_channel(0);
+#if CHANNELS == 3
+    add_channel(1);
+    add_channel(2);
 #endif
-        float margin = is_inset ? 0.5 : 0.0;
-        bool inside = all(greaterThanEqual(pixel, vec2(margin))) && all(lessThanEqual(pixel, size_px - margin));
-        inside = inside || filled == 1.0;  // never a hole, whatever the depths
-        status = lost ? NO_RAY : (inside ? status : OUTSIDE);
-        bool found = status <= DISOCCLUDED;
-
-        vec4 sampled = filtered_light(pixel, dFdx(path[channel].xy), dFdy(path[channel].xy));
-        vec3 share = CHANNELS == 1 ? vec3(1.0) : vec3(equal(ivec3(0, 1, 2), ivec3(channel)));
-        vec4 seen = found ? vec4(sampled.rgb, max(sampled.a, opaque)) : vec4(background, opaque);
-#if OVERLAYS
-        for (int k = 0; k < overlay_count; ++k) {
-            vec4 over = overlay_light(k, at_infinity, shift);
-            seen = lost ? seen : over + (1.0 - over.a) * seen;
-        }
-#endif
-        light += share * seen.rgb;
-        alpha = channel == CHANNELS / 2 ? seen.a : alpha;
-        worst = max(worst, status);
-        seen_at = channel == CHANNELS / 2 ? (found ? pixel : vec2(NOWHERE)) : seen_at;
-    }
     // The wider picture is drawn there already.
     if (is_inset && worst > DISOCCLUDED)
         discard;

@@ -154,7 +154,7 @@ class GlEye:
         overlay = SeenOverlay(image.colour, np.eye(3))
         for target, pictures, over in itertools.product(
             (None, WarpTarget(framebuffer, (0, 0), plan.size_px, False)),
-            ([picture], [picture, picture])[: 1 + insets],
+            ([picture], [picture, WarpedPicture(image, 2)])[: 1 + insets],
             ([], [overlay])[: 1 + bool(overlays)],
         ):
             self._composed(pictures, at, np.eye(4), target, False, over)

@@ -99,8 +99,8 @@ class GlWarp:
 
     A first pass finds, for each cell of the warp grid, where its rays appear in the image and at which inverse depths
     they may meet it. The cells are then drawn in one call of each kind, because software renderers run both sides of a
-    branch for every pixel: cells that the image's depth moves by less than DIRECT_PX, and cells whose pixels search
-    along their rays. Each cell has the number of samples of its display pixels.
+    branch for every pixel: cells that the image's depth moves by less than DIRECT_PX, with one sample for each display
+    pixel or with several, and cells whose pixels search along their rays.
 
     An inset, a sharper image of a part of the field of view, is drawn in the same way over the wider image; the wider
     image skips the cells that the inset fills. The inset's border blends into the wider image (`PictureImport.take`),
@@ -220,8 +220,9 @@ class GlWarp:
             on_quads = [each.place_of_ray @ image.camera.camera_from_image for each in overlays]
             places[: 3 * len(overlays)] = np.concatenate(on_quads)
         uniforms = uniforms | {"minified_samples_per_axis": float(picture.samples_per_axis)}
-        for march in (0, 1):
-            drawing = self._drawing(MARCH=march, **constants)
+        kinds = [(0, 0), (0, 1), (1, 1)] if picture.samples_per_axis > 1 else [(0, 0), (1, 1)]
+        for march, filtered in kinds:
+            drawing = self._drawing(MARCH=march, FILTERED=filtered, **constants)
             program = drawing.program
             gl.bind_textures(
                 program,
@@ -286,7 +287,8 @@ class _GlCells:
         drawing = self._context.full_screen("cells.frag", CHANNELS=self._channels, **_CONSTANTS)
         program = drawing.program
         rays = [each.slope_offset for each in ray_maps]
-        textures: dict[str, Any] = {"ranges": ranges.pyramid, "slope_offset": rays}
+        # The tiles stay on their unit for the warp.
+        textures: dict[str, Any] = {"tiles": ranges.tiles, "ranges": ranges.pyramid, "slope_offset": rays}
         textures |= {
             "row_matrices": rays[0],
             "inset_paths": rays[0],
