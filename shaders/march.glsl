@@ -1,7 +1,8 @@
 // Intersect a ray with the depth of the intermediate image, texel by texel; warp/warp.py states the algorithm.
 //
 // Needs SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`, `range`, `size_px` and `per_texel`. One loop with
-// the same reads in each round: software renderers execute both sides of a branch.
+// the same reads in each round: software renderers execute both sides of a branch. They may leave the loop for all
+// neighbours at once: so the variables of the result (meets, met, in_front) no longer change once a pixel has stopped.
 
 uniform sampler2D tiles;  // smallest and largest inverse depth of TILE x TILE texels
 
@@ -65,7 +66,7 @@ int march(vec2 at_infinity, vec2 shift, out vec2 pixel)
         bool edge = !meets && !skips && is_behind && !joins;
         met = !searching ? met : meets ? min(seen, here) : edge ? max(seen, before) : met;
         before = skips ? bounds.y : seen;
-        in_front = skips ? in_front : !is_behind;
+        in_front = searching && !skips ? !is_behind : in_front;
         here = meets ? here : min(skips ? end_of_tile : end, here * (1.0 - 1e-7));
         searching = !meets && here > far_end;
     } while (searching);

@@ -164,3 +164,21 @@ def test_a_plane_at_any_tilt_is_met_where_it_is(gl_context: GlContext, slope: fl
     assert (result.status[inside] == WarpStatus.SEEN).all()
     # A search ends when it moves by less than 0.01 px; on the steepest of these each step leaves a third of the last.
     np.testing.assert_allclose(present(result.source)[inside], expected[inside], atol=5e-3)
+
+
+@pytest.mark.parametrize("first", [-40.0, 190.0])
+@pytest.mark.parametrize("shift_px", [30.0, -30.0])
+def test_a_ray_that_leaves_the_picture_in_front_of_all_is_outside(
+    gl_context: GlContext, first: float, shift_px: float
+) -> None:
+    """A wall, and a corner that begins all paths near: the wall is met where its place lies in the picture."""
+    image = columns(np.full(CAMERA.width_px, FAR))
+    image.inverse_depth[18:20, ::8] = NEAR  # above the rays' row: it is met by none of them
+    at_infinity = np.arange(first, first + 90.0, 0.731)
+    result = warped(gl_context, image, CAMERA, [rays(at_infinity, shift_px)])
+    place = at_infinity + shift_px * FAR / NEAR
+    clear = np.minimum(np.abs(place), np.abs(place - CAMERA.width_px)) > 0.01
+    inside = (place > 0.0) & (place < CAMERA.width_px)
+    assert min(inside.sum(), (~inside).sum()) > 20
+    expected = np.where(inside, WarpStatus.SEEN, WarpStatus.OUTSIDE)
+    np.testing.assert_array_equal(result.status[0, clear], expected[clear])

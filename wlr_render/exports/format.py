@@ -1,6 +1,5 @@
 """The base of the file formats of `export`."""
 
-from abc import ABC
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,7 +47,7 @@ class Loss:
     max_arcmin: float | None
 
 
-class Format(ABC):
+class Format:
     """A file format, listed in `formats.FORMATS`.
 
     A format has `endings`, and `_write` writes the files of one colour; or it overrides `files` and `write`.

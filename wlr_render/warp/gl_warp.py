@@ -287,13 +287,9 @@ class _GlCells:
         drawing = self._context.full_screen("cells.frag", CHANNELS=self._channels, **_CONSTANTS)
         program = drawing.program
         rays = [each.slope_offset for each in ray_maps]
-        # The tiles stay on their unit for the warp.
-        textures: dict[str, Any] = {"tiles": ranges.tiles, "ranges": ranges.pyramid, "slope_offset": rays}
-        textures |= {
-            "row_matrices": rays[0],
-            "inset_paths": rays[0],
-            "inset_ranges": rays[0],
-        }  # placeholders: unused samplers are bound, too
+        # The tiles stay on their unit for the warp. Unused samplers share a texture: they must not read a target.
+        unused = dict.fromkeys(("row_matrices", "inset_paths", "inset_ranges"), rays[0])
+        textures: dict[str, Any] = {"tiles": ranges.tiles, "ranges": ranges.pyramid, "slope_offset": rays, **unused}
         if by_rows:
             rows = self._targets.get("row matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
             rows.write(np.ascontiguousarray(_at_grid_rows(matrices, warp_grid.rows), np.float32))

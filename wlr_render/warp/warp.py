@@ -14,8 +14,8 @@ surface where D(s(w)) = w. The algorithm:
    the image for a whole cell, the source is s(D(s(w))) with w midway between them, and the following does not apply.
 2. The path is followed from its near end, texel by texel. A tile of TILE x TILE px is left at once if the ray is in
    front of all that it shows, or behind one surface that fills it: no texel that the path crosses over more than a
-   thousandth of a pixel is left out where it could matter. Outside the image and a margin, whose border repeats, no
-   path is followed, so that its texels bound the search, however near the image's nearest point is.
+   thousandth of a pixel is left out where it could matter. Only the part of the path in the image and a margin around
+   it is followed: a point close to the lens may move the path's near end 100,000 px away.
 3. The ray meets a texel's surface whose inverse depth lies between those at which it enters and leaves the texel. It
    also meets a surface between two texels if it was in front at the first and is behind at the second, and if both are
    of one surface: their inverse depths differ by at most SURFACE_STEP of the larger one, or open less than half a
