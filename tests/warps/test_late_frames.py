@@ -22,7 +22,6 @@ from wlr_render.draw.scene_raster import SceneRaster
 from wlr_render.engine import FrameHandle
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.gl.readback import Readback
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 
@@ -283,16 +282,47 @@ def test_reading_back_leaves_an_adopted_context_and_no_fences_behind(
     frame = made.compose()
     caller.set_odd_values()
     before, expected = caller.state(), frame.read()
-    frame.read_async()  # and it is dropped
-    (fence,) = Readback._dropped[made.context]
-    assert caller.gl("glIsSync", fence, types=[ctypes.c_void_p])
+    fence = frame.read_async()._fence._number  # and the reading is dropped
+
+    def is_alive(number: int) -> bool:
+        return bool(caller.gl("glIsSync", number, types=[ctypes.c_void_p]))
+
+    assert is_alive(fence)
+    frame.status()
+    assert not is_alive(fence)
     reading = frame.read_async()
-    assert reading._fence == fence or not caller.gl("glIsSync", fence, types=[ctypes.c_void_p])
-    assert not Readback._dropped[made.context]
+    fence = reading._fence._number
     np.testing.assert_array_equal(reading.result(), expected)
-    del reading
-    assert not Readback._dropped[made.context]
+    assert not is_alive(fence)
+    unread = frame.read_async()
+    fence = unread._fence._number
     assert_same(caller.state(), before)
+    made.release()
+    assert not is_alive(fence)
+
+
+def test_pictures_on_their_way_share_three_buffers_and_stay_as_they_were(
+    compositor: Callable[..., Any], flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = compositor(flat_image_headset)
+    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    sizes, buffer = list[int](), moderngl.Context.buffer
+
+    def spy(*given: Any, **options: Any) -> moderngl.Buffer:
+        made_buffer = buffer(*given, **options)
+        sizes.append(made_buffer.size)
+        return made_buffer
+
+    monkeypatch.setattr(moderngl.Context, "buffer", spy)
+    expected, readings = [], []
+    for k in range(8):
+        frame = made.compose(pose=HEAD @ at(0.01 * k, 0, 0, np.eye(3)))
+        expected.append(frame.read())
+        readings.append(frame.read_async())
+    for reading, picture in zip(readings, expected, strict=True):
+        np.testing.assert_array_equal(reading.result(), picture)
+    assert (expected[0] != expected[-1]).any()
+    assert sizes == [4 * SMALL[0] * SMALL[1]] * 3
 
 
 def _framebuffer(made: Compositor) -> moderngl.Framebuffer:

@@ -185,7 +185,7 @@ class GlContext:
                 vertex_shader=shader_source(vertex, constants),
                 fragment_shader=shader_source(fragment, constants, functions),
             )
-            self._programs[key] = self._tracked(program)
+            self._programs[key] = self.tracked(program)
         return self._programs[key]
 
     def full_screen(
@@ -197,7 +197,7 @@ class GlContext:
     def no_vertices(self, program: Program) -> VertexArray:
         """Return a program that draws from `gl_VertexID` alone: `.render(vertices=n)`; made once for each program."""
         if program.glo not in self._no_vertices:
-            self._no_vertices[program.glo] = self._tracked(self._ctx.vertex_array(program, []))
+            self._no_vertices[program.glo] = self.tracked(self._ctx.vertex_array(program, []))
         return self._no_vertices[program.glo]
 
     def target(self, size: tuple[int, int], components: int, dtype: str) -> Texture:
@@ -207,12 +207,12 @@ class GlContext:
         has 10 bits, and 2 of alpha, and is read as uint16.
         """
         if dtype == "srgb":
-            texture = self._tracked(self._ctx.texture(size, components, internal_format=SRGB8_ALPHA8))
+            texture = self.tracked(self._ctx.texture(size, components, internal_format=SRGB8_ALPHA8))
             texture.extra = SRGB8_ALPHA8
         elif dtype == "rgb10":
-            texture = self._tracked(self._ctx.texture(size, components, dtype="nu2", internal_format=_RGB10_A2))
+            texture = self.tracked(self._ctx.texture(size, components, dtype="nu2", internal_format=_RGB10_A2))
         else:
-            texture = self._tracked(self._ctx.texture(size, components, dtype=dtype))
+            texture = self.tracked(self._ctx.texture(size, components, dtype=dtype))
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         texture.repeat_x = texture.repeat_y = False
         return texture
@@ -224,7 +224,7 @@ class GlContext:
         """
         height, width = image.shape[:2]
         pixels = np.ascontiguousarray(image)
-        texture = self._tracked(self._ctx.texture((width, height), 3, pixels, alignment=1, internal_format=_SRGB8))
+        texture = self.tracked(self._ctx.texture((width, height), 3, pixels, alignment=1, internal_format=_SRGB8))
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
         texture.repeat_x = texture.repeat_y = True
         return texture
@@ -232,7 +232,7 @@ class GlContext:
     def plain_sampler(self, decodes: bool = False) -> Sampler:
         """Return a sampler of the nearest texel, without depth comparison; `decodes` sRGB formats or reads codes."""
         nearest = moderngl.NEAREST, moderngl.NEAREST
-        sampler = self._tracked(self._ctx.sampler(repeat_x=False, repeat_y=False, filter=nearest, compare_func=""))
+        sampler = self.tracked(self._ctx.sampler(repeat_x=False, repeat_y=False, filter=nearest, compare_func=""))
         if not decodes and self.reads_srgb_codes:
             number = vars(sampler)["_glo"]
             self.function("glSamplerParameteri", *[ctypes.c_uint] * 3)(number, _SRGB_DECODE, _SKIP_DECODE)
@@ -263,13 +263,13 @@ class GlContext:
 
     def depth_target(self, size: tuple[int, int]) -> Texture:
         """Return an empty depth texture of (width, height), 24 bits, read as plain values."""
-        texture = self._tracked(self._ctx.depth_texture(size))
+        texture = self.tracked(self._ctx.depth_texture(size))
         texture.compare_func = ""
         return texture
 
     def framebuffer(self, textures: list[Texture], depth: Texture | None = None) -> Framebuffer:
         """Return a target of several textures of one size, the shader's outputs 0, 1, ... in this order."""
-        made = self._tracked(self._ctx.framebuffer(textures, depth))
+        made = self.tracked(self._ctx.framebuffer(textures, depth))
         made.use()  # sets its draw buffers
         return made
 
@@ -295,7 +295,7 @@ class GlContext:
             for name, values in attributes.items()
             if name in program
         ]
-        return self._tracked(self._ctx.vertex_array(program, content, self._buffer(indices, np.uint32)))
+        return self.tracked(self._ctx.vertex_array(program, content, self._buffer(indices, np.uint32)))
 
     def depth_test(self) -> None:
         """Enable the depth test (less or equal) until the end of the innermost `drawing` block."""
@@ -323,14 +323,11 @@ class GlContext:
         except GlError:
             return True  # the context is lost with all its objects
 
-    def pixel_buffer(self, size_bytes: int) -> Buffer:
-        """Return an empty buffer that pixels are read into."""
-        return self._tracked(self._ctx.buffer(reserve=size_bytes))
-
     def _buffer(self, values: NDArray[Any], dtype: DTypeLike) -> Any:
-        return self._tracked(self._ctx.buffer(np.ascontiguousarray(values, dtype)))
+        return self.tracked(self._ctx.buffer(np.ascontiguousarray(values, dtype)))
 
-    def _tracked(self, made: _Object) -> _Object:
+    def tracked(self, made: _Object) -> _Object:
+        """Return an object of this context with a method `release`, which is called when the context is released."""
         self._objects.add(made)
         self._made_objects = True
         return made

@@ -2,7 +2,8 @@
 
 import ctypes
 import weakref
-from typing import Any, ClassVar
+from collections import deque
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from wlr_render.gl.host_checks import GlError
 _COMMANDS_COMPLETE, _FLUSH = 0x9117, 0x1  # GL_SYNC_GPU_COMMANDS_COMPLETE, GL_SYNC_FLUSH_COMMANDS_BIT
 _TIMEOUT, _FAILED = 0x911B, 0x911D  # GL_TIMEOUT_EXPIRED, GL_WAIT_FAILED
 _FOREVER_NS = 10_000_000_000
+_BUFFERS = 3  # of a ring
 
 
 def rgb_of_rgba(rgba: NDArray[Any]) -> NDArray[Any]:
@@ -33,36 +35,46 @@ def colour_type(texture: gl.Texture) -> DTypeLike:
     return {"f1": "u1", "nu2": "u2", "f2": "f2"}[texture.dtype]
 
 
-class Readback:
-    """A picture on its way to the CPU; later frames do not change it."""
+class _Fence:
+    """A fence behind all commands so far; call its methods in a drawing block."""
 
-    # Fences of readbacks that Python dropped unread: they are deleted when the context is sure to be current.
-    _dropped: ClassVar[weakref.WeakKeyDictionary[gl.GlContext, list[int]]] = weakref.WeakKeyDictionary()
-
-    def __init__(self, context: gl.GlContext, texture: gl.Texture) -> None:
-        """Start to copy an RGBA texture; returns at once. Call it in a drawing block."""
-        self._context, self._shape = context, (texture.height, texture.width, 4)
-        self._dtype: np.dtype[Any] = np.dtype(colour_type(texture))
-        self._pixels: NDArray[Any] | None = None
-        self._buffer = context.pixel_buffer(self._dtype.itemsize * 4 * texture.width * texture.height)
-        texture.read_into(self._buffer)
+    def __init__(self, context: gl.GlContext) -> None:
         self._wait = context.function(
             "glClientWaitSync", ctypes.c_void_p, ctypes.c_uint, ctypes.c_uint64, result=ctypes.c_uint
         )
         self._delete = context.function("glDeleteSync", ctypes.c_void_p)
-        fence = context.function("glFenceSync", ctypes.c_uint, ctypes.c_uint, result=ctypes.c_void_p)
-        self._fence: int = fence(_COMMANDS_COMPLETE, 0)
-        dropped = self._dropped.setdefault(context, [])
-        while dropped:
-            self._delete(dropped.pop())
-        self._forgotten = weakref.finalize(self, dropped.append, self._fence)
+        make = context.function("glFenceSync", ctypes.c_uint, ctypes.c_uint, result=ctypes.c_void_p)
+        self._number: int = make(_COMMANDS_COMPLETE, 0)
+        context.tracked(self)
+
+    def is_passed(self, timeout_ns: int) -> bool:
+        return self._wait(self._number, _FLUSH, timeout_ns) not in (_TIMEOUT, _FAILED)
+
+    def release(self) -> None:
+        number, self._number = self._number, 0
+        self._delete(number)  # 0 is ignored
+
+
+class Readback:
+    """A picture on its way to the CPU; later frames do not change it."""
+
+    def __init__(self, context: gl.GlContext, texture: gl.Texture, buffer: gl.Buffer) -> None:
+        """Start to copy an RGBA texture into a buffer of its size, which nothing else uses meanwhile."""
+        self._context, self._shape = context, (texture.height, texture.width, 4)
+        self._dtype: np.dtype[Any] = np.dtype(colour_type(texture))
+        self._pixels: NDArray[Any] | None = None
+        with context.drawing() as ctx:
+            texture.read_into(buffer)
+            self._buffer, self._fence = buffer, _Fence(context)
+            # The next drawing block frees what is in this list, as it does the textures that Python drops.
+            weakref.finalize(self, ctx.objects.append, self._fence)
 
     def is_ready(self) -> bool:
         """Return whether `result` returns without waiting for the GPU."""
         if self._pixels is not None:
             return True
         with self._context.drawing():
-            return self._wait(self._fence, _FLUSH, 0) not in (_TIMEOUT, _FAILED)
+            return self._fence.is_passed(0)
 
     def result(self) -> NDArray[Any]:
         """Return the picture (height, width, 3), as `ComposedFrame.read` does; waits for the GPU if it is not ready.
@@ -73,14 +85,34 @@ class Readback:
         """
         if self._pixels is None:
             with self._context.drawing():
-                if self._wait(self._fence, _FLUSH, _FOREVER_NS) in (_TIMEOUT, _FAILED):
+                if not self._fence.is_passed(_FOREVER_NS):
                     raise GlError(f"the picture was not read within ten seconds ({self._context.renderer}).")
                 rgba = np.frombuffer(self._buffer.read(), self._dtype).reshape(self._shape)
-                self._forgotten.detach()
-                self._delete(self._fence)
-                del self._buffer  # the next drawing block frees it
+                self._fence.release()
             self._pixels = rgba[..., :3] if self._dtype == np.float16 else rgb_of_rgba(rgba)
         return self._pixels
+
+
+class ReadbackRing:
+    """Three buffers for the pictures of one source: one is copied into while two wait to be read."""
+
+    def __init__(self, context: gl.GlContext) -> None:
+        self._context = context
+        self._used = deque[tuple[gl.Buffer, weakref.ref[Readback]]](maxlen=_BUFFERS)
+
+    def start(self, texture: gl.Texture) -> Readback:
+        """Start to copy an RGBA texture; this waits only if the third picture before is still unread, for that one."""
+        buffer, size_bytes = None, np.dtype(colour_type(texture)).itemsize * 4 * texture.width * texture.height
+        with self._context.drawing() as ctx:
+            if len(self._used) == _BUFFERS:
+                buffer, last = self._used.popleft()
+                if (unread := last()) is not None:
+                    unread.result()
+            if buffer is None or buffer.size != size_bytes:
+                buffer = self._context.tracked(ctx.buffer(reserve=size_bytes))
+            reading = Readback(self._context, texture, buffer)
+        self._used.append((buffer, weakref.ref(reading)))
+        return reading
 
 
 def read_into(context: gl.GlContext, texture: gl.Texture, target: Any) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.gl import gl
-from wlr_render.gl.readback import Readback, read_into, read_rgb
+from wlr_render.gl.readback import Readback, ReadbackRing, read_into, read_rgb
 from wlr_render.io.input_files import shown
 from wlr_render.mappings import count_unsolved
 from wlr_render.numerics.arrays import FloatArray
@@ -29,6 +29,7 @@ class GlComposed:
 
     warped: GpuWarped | None
     ray_maps: list[GpuRayMap]
+    readbacks: ReadbackRing
     draw_source: Callable[[int], GpuWarped] | None = None
 
     @property
@@ -38,9 +39,7 @@ class GlComposed:
 
     def read_async(self) -> Readback:
         """Start to fetch the colour."""
-        own = self._own()
-        with own.context.drawing():
-            return Readback(own.context, own.colour)
+        return self.readbacks.start(self._own().colour)
 
     def read_into(self, target: Any) -> None:
         """Copy the colour as RGBA into an array, or into a buffer on the GPU."""
@@ -117,6 +116,8 @@ class ComposedFrame:
 
     def read_async(self, eye: str | None = None) -> Readback:
         """Start to fetch what `read` returns, and return at once; a later `compose` does not change the result.
+
+        Three pictures of an eye may be on their way: while the last three are unread, this waits for the first.
 
         Raises:
             BadInputError: as `read`.

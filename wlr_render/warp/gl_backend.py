@@ -11,6 +11,7 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.gl import gl
+from wlr_render.gl.readback import ReadbackRing
 from wlr_render.mappings import Eye, is_planar
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.checks import checked_choice
@@ -54,6 +55,7 @@ class GlEye:
         self._encoder = PanelEncoder.of(context, panel)
         self._warp = GlWarp(context, len(channels), self._encoder)
         self._warp_of_one = GlWarp(context, 1, self._encoder)  # draws pull maps of red and blue
+        self._readbacks = ReadbackRing(context)
         self._import = PictureImport(context)
         self._pictures: list[WarpedPicture] = []  # the widest first
         self._import_insets: list[PictureImport] = []
@@ -173,11 +175,11 @@ class GlEye:
         drawn, settings = (widest.image, ray_maps, image_from_ray_map), (self._background, widest.samples_per_axis)
         if target is not None:
             self._warp.draw_into(target, *drawn, *settings, overlays, insets)
-            return GlComposed(None, ray_maps)
+            return GlComposed(None, ray_maps, self._readbacks)
         size_px = self._plan.size_px
         warped = self._warp.draw(*drawn, size_px, *settings, with_source, overlays, insets)
         if not with_source or len(ray_maps) == 1:
-            return GlComposed(warped, ray_maps)
+            return GlComposed(warped, ray_maps, self._readbacks)
 
         def draw_source(channel: int) -> GpuWarped:
             if self._pictures is not pictures or widest.image.is_overwritten():
@@ -188,7 +190,7 @@ class GlEye:
             of_channel = widest.image, [ray_maps[channel]], image_from_ray_map
             return self._warp_of_one.draw(*of_channel, size_px, *settings, with_source=True, insets=insets)
 
-        return GlComposed(warped, ray_maps, draw_source)
+        return GlComposed(warped, ray_maps, self._readbacks, draw_source)
 
 
 class GlBackend:
