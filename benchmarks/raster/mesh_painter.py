@@ -1,5 +1,6 @@
 """The raster of the paper (section 4.2): its warp map comes from the mesh."""
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -47,9 +48,9 @@ class MeshWarpedPainter:
         sources = tuple(source_of_position(view, position) for position in traced.traced)
         light = decode_srgb(image.colour)
         colours = [encode_srgb(remap(light, source[..., :2], self._background)[0]) for source in sources]
-        colour = by_colour(colours)
+        read_colour = functools.partial(by_colour, colours)
         return Frame(
-            colour, traced.solve_ray_maps, traced=traced.traced, sources=sources, view=view, intermediate=image
+            read_colour, traced.solve_ray_maps, traced=traced.traced, sources=sources, view=view, intermediate=image
         )
 
 

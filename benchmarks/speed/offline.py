@@ -40,7 +40,7 @@ def ray_rows(work: Workload) -> list[list[Cell]]:
     raw_ms, ours_ms, frame_ms = alternately(
         lambda _: raw(),
         lambda _: renderer.tracer.intersect(origin, direction),
-        lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE),
+        lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE).colour,
         rounds=work.rounds,
     )
     rays = len(direction) / 1e3
@@ -64,7 +64,9 @@ def raster_part(work: Workload, backend: str) -> Part:
     painter = WarpedPainter(work.mappings, raster)
     name = "offline raster frame: new map, picture, warp, read-back"
     if raster.backend != "egl":
-        (frame_ms,) = alternately(lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE), rounds=work.rounds)
+        (frame_ms,) = alternately(
+            lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE).colour, rounds=work.rounds
+        )
         return Part([Figure(name, in_ms(frame_ms), "its baseline needs EGL")])
     panel, centre = work.mappings.display.panel, work.mappings.eye_box.centre
     drawn_from = painter.view(centre, HEAD_POSE)
@@ -75,7 +77,7 @@ def raster_part(work: Workload, backend: str) -> Part:
     of_scene = work.scene, view, source_uv.astype(np.float32)
     shaded, plain = shaded_gl_frame(*of_scene), bare_gl_frame(*of_scene)
     ours, same, bare = times_ms(
-        lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE),
+        lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE).colour,
         lambda _: shaded(),
         lambda _: plain(),
         rounds=work.rounds,
@@ -145,7 +147,7 @@ def peak_memory_gb(method: str, backend: str) -> float:
         painter = TracedPainter(mappings, RayRenderer(scene))
     else:
         painter = WarpedPainter(mappings, SceneRaster(open_context(backend), scene))
-    painter.paint(mappings.eye_box.centre, HEAD_POSE)
+    _ = painter.paint(mappings.eye_box.centre, HEAD_POSE).colour
     return _peak_resident_gb()
 
 

@@ -156,7 +156,7 @@ class PathTracedPainter:
             for sample, seed in zip(samples, self._seeds, strict=True):
                 total += self._tracer.light(*sample.world_rays(world_from_device), int(seed))
             colours.append(encode_srgb(total / np.float32(len(self._seeds))).reshape(shape))
-        return Frame(by_colour(colours), lambda: ray_maps, traced=tuple(traced))
+        return Frame(functools.partial(by_colour, colours), lambda: ray_maps, traced=tuple(traced))
 
     def _positions(self, origin: Float32Array, direction: Float32Array) -> Float32Array:
         distance = self._tracer.intersect(origin, direction).distance

@@ -31,7 +31,7 @@ class Frame:
     "Of each channel" means one for all colours, or one each for red, green and blue.
 
     Attributes:
-        colour: (height, width, 3) uint8 sRGB; the scene's background in pixels without a ray.
+        read_colour: returns `colour`, which may wait for the GPU.
         solve_ray_maps: returns the ray map of each channel; see `ray_maps`.
         traced: of each channel (height, width, 3) float32, the world point that ray tracing found for each pixel, NaN
             where none; on request, empty for a warped frame.
@@ -41,12 +41,17 @@ class Frame:
         view, intermediate: the intermediate image of a warped frame and from where it was drawn; on request.
     """
 
-    colour: NDArray[np.uint8]
+    read_colour: Callable[[], NDArray[np.uint8]]
     solve_ray_maps: Callable[[], tuple[RayMap, ...]]
     traced: tuple[Float32Array, ...] = ()
     sources: tuple[Float32Array, ...] = ()
     view: View | None = None
     intermediate: GeometryImage | None = None
+
+    @cached_property
+    def colour(self) -> NDArray[np.uint8]:
+        """(height, width, 3) uint8 sRGB; the scene's background in pixels without a ray."""
+        return self.read_colour()
 
     def save(self, path: str | Path) -> Path:
         """Write the image as an 8-bit PNG.
@@ -198,7 +203,7 @@ class TracedPainter:
                 sampled = (partial(each.world_rays, world_from_device) for each in samples)
                 colour = self._renderer.render_supersampled(rays.shape, sampled, self._shadows)
             colours.append(colour)
-        return Frame(by_colour(colours), lambda: ray_maps, traced=tuple(traced))
+        return Frame(partial(by_colour, colours), lambda: ray_maps, traced=tuple(traced))
 
 
 def with_inverse_depth(intermediate: GeometryImage, source: Float32Array) -> Float32Array:

@@ -54,23 +54,24 @@ class WarpedPainter:
         return self._plan.view(viewpoint, world_from_device)
 
     def paint(self, viewpoint: FloatArray, world_from_device: FloatArray, with_geometry: bool = False) -> Frame:
-        """Return a warped frame; see `Painter`."""
+        """Return a warped frame, which is read from the GPU when its colour is first asked for; see `Painter`."""
         (camera,) = self._compositor.begin_frame(world_from_device, viewpoint).values()
         image = self._raster.draw_on_gpu(camera.view, camera.eye)
         self._compositor.submit(image)
         composed = self._compositor.compose(with_source=with_geometry)
+        colour = composed.read_async()
 
         def ray_maps() -> tuple[RayMap, ...]:
             plans = ray_map_plans(self._channels, self._plan.device_from_camera)
             return ray_maps_of(self._channels, plans, viewpoint)
 
         if not with_geometry:
-            return Frame(composed.read(), ray_maps)
+            return Frame(colour.result, ray_maps)
         intermediate = image.read()
         sources = tuple(
             with_inverse_depth(intermediate, composed.source(channel=channel)) for channel in range(len(self._channels))
         )
-        return Frame(composed.read(), ray_maps, sources=sources, view=camera.view, intermediate=intermediate)
+        return Frame(colour.result, ray_maps, sources=sources, view=camera.view, intermediate=intermediate)
 
 
 def traced_instead(raster: SceneRaster | None, backend: str) -> list[str]:

@@ -70,6 +70,8 @@ def render(
     if raster is None:
         return _traced_painter(eye, scene, shadows, supersample).paint(at, pose, with_geometry)
     try:
-        return WarpedPainter(eye, raster).paint(at, pose, with_geometry)
+        frame = WarpedPainter(eye, raster).paint(at, pose, with_geometry)
+        _ = frame.colour  # is read while the context exists
+        return frame
     finally:
         raster.context.release()

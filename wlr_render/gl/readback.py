@@ -16,7 +16,7 @@ from wlr_render.gl.host_checks import GlError
 _COMMANDS_COMPLETE, _FLUSH = 0x9117, 0x1  # GL_SYNC_GPU_COMMANDS_COMPLETE, GL_SYNC_FLUSH_COMMANDS_BIT
 _TIMEOUT, _FAILED = 0x911B, 0x911D  # GL_TIMEOUT_EXPIRED, GL_WAIT_FAILED
 _FOREVER_NS = 10_000_000_000
-_BUFFERS = 3  # of a ring
+_BUFFERS = 3  # buffers of a ring
 
 
 def rgb_of_rgba(rgba: NDArray[Any]) -> NDArray[Any]:
@@ -66,7 +66,7 @@ class Readback:
         with context.drawing() as ctx:
             texture.read_into(buffer)
             self._buffer, self._fence = buffer, _Fence(context)
-            # The next drawing block frees what is in this list, as it does the textures that Python drops.
+            # The next drawing block frees the objects of this list, as it does the textures that Python drops.
             weakref.finalize(self, ctx.objects.append, self._fence)
 
     def is_ready(self) -> bool:
