@@ -17,6 +17,9 @@ uniform sampler2D wider_inverse_depth;
 uniform vec4 wider_from_inset;  // scale and offset of pixels
 uniform float border_px;
 uniform bool shares_depth;
+uniform bool decodes;
+#else
+const bool decodes = DECODE == 1;  // a program for each: most pictures are not decoded here, which costs time
 #endif
 
 const float LARGEST = 65504.0;  // half float; an infinite texel would spoil all samples around it
@@ -40,9 +43,7 @@ void main()
     vec2 position = (vec2(texel) + 0.5) / vec2(size);
     colour = within_half_floats(scale * texture(stored_colour, position));
     colour.a = clamp(max(colour.a, opaque), 0.0, 1.0);
-#if DECODE
-    colour.rgb = linear_of_srgb(colour.rgb);
-#endif
+    colour.rgb = decodes ? linear_of_srgb(colour.rgb) : colour.rgb;
     float stored = texture(stored_depth, position).r;
     bool surface = stored >= limits.x && stored <= limits.y;
     inverse_depth = !surface   ? 0.0

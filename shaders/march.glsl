@@ -28,7 +28,26 @@ bool is_one_surface(float one, float other, float half_px)
     return abs(one - other) <= max(SURFACE_STEP * max(one, other), half_px);
 }
 
-int march(vec2 at_infinity, vec2 shift, out vec2 pixel)
+// Where to read colour near a pixel: among the four texels around it, those of another surface than the one at this
+// inverse depth take no part. A texel beside the surface takes part if it lies within half a pixel of it all the same.
+vec2 place_on_surface(vec2 pixel, float met, float half_px)
+{
+    vec2 base, weight;
+    bilinear_taps(pixel, base, weight);
+    vec4 texels = textureGather(inverse_depth, (base + 1.0) * per_texel);  // lower left, lower right, upper right, upper left
+    vec4 belongs = vec4(lessThanEqual(abs(texels - met), max(SURFACE_STEP * max(texels, met), half_px)));
+    vec4 share = belongs * vec4(1.0 - weight.x, weight.xx, 1.0 - weight.x) * vec4(weight.yy, 1.0 - weight.yy);
+    float largest = max(max(share.x, share.y), max(share.z, share.w));
+    vec2 own = vec2(max(share.y, share.z) == largest, max(share.x, share.y) == largest);
+    float row = mix(belongs.z * belongs.w, belongs.x * belongs.y, own.y);
+    float column = mix(belongs.x * belongs.w, belongs.y * belongs.z, own.x);
+    bool all_belong = belongs.x * belongs.y * belongs.z * belongs.w == 1.0;
+    vec2 moved = row == 1.0 ? vec2(weight.x, own.y) : column == 1.0 ? vec2(own.x, weight.y) : own;
+    return base + 0.5 + (all_belong || largest == 0.0 ? weight : moved);
+}
+
+// The place that a ray shows, the inverse depth that is seen there, and the inverse depth that half a pixel stands for.
+int march(vec2 at_infinity, vec2 shift, out vec2 pixel, out float seen_there, out float half_px)
 {
     float px_per_inverse_depth = max(length(shift), 1e-12), one_px = 1.0 / px_per_inverse_depth;
     vec2 nudge = -NUDGE_PX * one_px * shift;
@@ -78,6 +97,9 @@ int march(vec2 at_infinity, vec2 shift, out vec2 pixel)
     float limit = converges ? third + second_step * second_step / (first_step - second_step) : third;
     bool stays = meets && abs(limit - met) * px_per_inverse_depth < 1.5;
     bool is_outside = never_enters || !meets && in_front && far_end > last;
-    pixel = is_outside ? vec2(-MARGIN_PX) : at_infinity + (stays ? limit : met) * shift;
+    met = stays ? limit : met;
+    pixel = is_outside ? vec2(-MARGIN_PX) : at_infinity + met * shift;
+    seen_there = meets ? met : texture(inverse_depth, pixel * per_texel).r;
+    half_px = 0.5 * one_px;
     return meets ? SEEN : DISOCCLUDED;
 }

@@ -7,7 +7,7 @@
 
 uniform sampler2D tiles;
 uniform sampler2D large_tiles;  // of TILE x TILE tiles
-uniform int target_height;
+uniform int target_height;  // 0: make the large tiles
 
 layout(location = 0) out vec2 range;
 
@@ -32,6 +32,10 @@ vec2 range_of(sampler2D tiles, ivec2 corner, int count)
 void main()
 {
     ivec2 place = ivec2(gl_FragCoord.xy);
+    if (target_height == 0) {
+        range = range_of(tiles, 2 * place + 1, TILE / 2);
+        return;
+    }
     int side = target_height, tiles_per_texel = 2;
     while (place.x >= side && side > 2) {
         place.x -= side;

@@ -3,8 +3,8 @@
 #include "srgb.glsl"
 // What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.
 //
-// Written for software renderers too: a texture read at normalised coordinates costs them less than texelFetch, and
-// unused outputs are not compiled in.
+// Written for software renderers too: a texture read at normalised coordinates costs them less than texelFetch. They do
+// not compute outputs that the target has no image for.
 
 uniform sampler2D picture;  // gives linear light
 uniform sampler2D inverse_depth;
@@ -37,10 +37,8 @@ flat in float samples_per_axis;
 flat in float filled;  // 1 if an inset's wider picture is not drawn here
 
 layout(location = 0) out vec4 colour;
-#if WITH_STATUS
 layout(location = 1) out uint worst_status;
 layout(location = 2) out vec2 source;
-#endif
 
 #define NOWHERE uintBitsToFloat(0x7fc00000u)
 vec2 size_px = vec2(textureSize(picture, 0));
@@ -59,23 +57,27 @@ vec2 missed_by_triangles(int channel)
     return mixed * mixed_bend[channel] - 0.5 * (share.x * bend[channel].xy + share.y * bend[channel].zw);
 }
 
-// The mean over a display pixel, whose sides appear in the image as `across` and `down`.
-vec4 filtered_light(vec2 pixel, vec2 across, vec2 down)
+vec4 light_at(vec2 pixel, float inverse, float half_px)
 {
-#if FILTERED
+#if MARCH
+    pixel = place_on_surface(pixel, inverse, half_px);
+#endif
+    return textureLod(picture, pixel * per_texel, 0.0);
+}
+
+// The mean over a display pixel, whose sides appear in the image as `across` and `down`.
+vec4 filtered_light(vec2 pixel, vec2 across, vec2 down, float inverse, float half_px)
+{
     // Tested at its end: software renderers run one round too many of a loop that is tested at its head.
     vec4 sum = vec4(0.0);
     float i = 0.0, count = samples_per_axis * samples_per_axis;
     do {
         float row = floor((i + 0.5) / samples_per_axis);
         vec2 place = (vec2(i - row * samples_per_axis, row) + 0.5) / samples_per_axis - 0.5;
-        sum += textureLod(picture, (pixel + place.x * across + place.y * down) * per_texel, 0.0);
+        sum += light_at(pixel + place.x * across + place.y * down, inverse, half_px);
         i += 1.0;
     } while (i < count);
     return sum / count;
-#else
-    return textureLod(picture, pixel * per_texel, 0.0);
-#endif
 }
 
 #if OVERLAYS
@@ -119,10 +121,11 @@ void add_channel(const int channel)
     vec2 at_infinity = lost ? vec2(0.0) : path[channel].xy + missed_by_triangles(channel);
     vec2 shift = lost ? vec2(0.0) : path[channel].zw;
     vec2 pixel;
+    float inverse = 0.0, half_px = 0.0;
 #if MARCH
-    int status = march(at_infinity, shift, pixel);
+    int status = march(at_infinity, shift, pixel, inverse, half_px);
 #else
-    // All that the image shows near here lies within DIRECT_PX.
+    // All that the image shows along the path lies within DIRECT_PX.
     vec2 nearby = at_infinity + 0.5 * (range.x + range.y) * shift;
     pixel = at_infinity + texture(inverse_depth, nearby * per_texel).r * shift;
     int status = SEEN;
@@ -133,7 +136,7 @@ void add_channel(const int channel)
     status = lost ? NO_RAY : (inside ? status : OUTSIDE);
     bool found = status <= DISOCCLUDED;
 
-    vec4 sampled = filtered_light(pixel, dFdx(path[channel].xy), dFdy(path[channel].xy));
+    vec4 sampled = filtered_light(pixel, dFdx(path[channel].xy), dFdy(path[channel].xy), inverse, half_px);
     vec3 share = CHANNELS == 1 ? vec3(1.0) : vec3(equal(ivec3(0, 1, 2), ivec3(channel)));
     vec4 seen = found ? vec4(sampled.rgb, max(sampled.a, opaque)) : vec4(background, opaque);
 #if OVERLAYS
@@ -163,8 +166,6 @@ void main()
     light *= texture(uniformity, panel_place).rgb;
 #endif
     colour = vec4(code_of(light), alpha);
-#if WITH_STATUS
     worst_status = uint(worst);
     source = seen_at;
-#endif
 }

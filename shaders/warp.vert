@@ -1,7 +1,7 @@
 #version 410
 #include "insets.glsl"
 // The cells of a warp grid as two triangles each, cut from the upper right to the lower left; those that the program is
-// for (sampled directly, filtered or not, or marched), the others without area.
+// for (sampled directly, or marched), the others without area.
 
 uniform sampler2D paths;  // see cells.frag
 uniform sampler2D bends;
@@ -56,13 +56,12 @@ void main()
     if (is_inset)
         filled = is_filled(paths, mixed_bends_and_ranges, upper_left, vec2(textureSize(picture, 0))) ? 1.0 : 0.0;
     samples_per_axis = minified ? minified_samples_per_axis : 1.0;
-    bool filtered = samples_per_axis > 1.0;
     cell = vec2(upper_left);
     grid_place = vec2(point);
 #if UNIFORMITY
     panel_place = vec2(point) / vec2(points - 1);
 #endif
     vec2 place = 2.0 * vec2(point) / vec2(points - 1) - 1.0;
-    bool is_drawn_here = !skipped && direct == (MARCH == 0) && (MARCH == 1 || filtered == (FILTERED == 1));
+    bool is_drawn_here = !skipped && direct == (MARCH == 0);
     gl_Position = is_drawn_here ? vec4(place.x, top_row_first ? place.y : -place.y, 0.0, 1.0) : vec4(0.0, 0.0, 0.0, 1.0);
 }

@@ -8,6 +8,7 @@ from warping import warped
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.gl.context import GlContext
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
+from wlr_render.numerics.srgb import decode_srgb
 from wlr_render.warp.view import GeometryImage
 from wlr_render.warp.warp import WarpStatus
 
@@ -182,3 +183,38 @@ def test_a_ray_that_leaves_the_picture_in_front_of_all_is_outside(
     assert min(inside.sum(), (~inside).sum()) > 20
     expected = np.where(inside, WarpStatus.SEEN, WarpStatus.OUTSIDE)
     np.testing.assert_array_equal(result.status[0, clear], expected[clear])
+
+
+WALL, POLE = 40, 200
+
+
+@pytest.mark.parametrize("shift_px", [7.3, -20.0])
+@pytest.mark.parametrize("samples_per_axis", [1, 2])
+def test_no_texel_of_another_surface_is_mixed_into_a_colour(
+    gl_context: GlContext, shift_px: float, samples_per_axis: int
+) -> None:
+    """A pole that has moved aside by pixels leaves nothing of its colour on the wall, nor takes any of the wall's."""
+    depth = np.full(CAMERA.width_px, FAR)
+    depth[120:124] = NEAR
+    image = columns(depth)
+    image.colour[:] = np.where(depth == NEAR, POLE, WALL)[:, None]
+    at_infinity = np.arange(90.0, 150.0, 0.0731) if samples_per_axis == 1 else np.arange(60.0, 180.0, 1.37)
+    result = warped(gl_context, image, CAMERA, [rays(at_infinity, shift_px)], samples_per_axis=samples_per_axis)
+    on_pole = np.abs(present(result.source)[0, :, 0] - 122.0) < 2.0
+    on_pole &= result.status[0] == WarpStatus.SEEN
+    clear = ~near_a_border(at_infinity, shift_px, depth)
+    assert min((on_pole & clear).sum(), (~on_pole & clear).sum()) > 0
+    assert (result.status[0] == WarpStatus.DISOCCLUDED).any()
+    np.testing.assert_array_equal(result.colour[0, clear, 0], np.where(on_pole, POLE, WALL)[clear])
+
+
+def test_a_silhouette_that_has_moved_by_less_than_half_a_pixel_stays_smooth(gl_context: GlContext) -> None:
+    depth = np.full(CAMERA.width_px, FAR)
+    depth[120:] = NEAR
+    image = columns(depth)
+    image.colour[:] = np.where(depth == NEAR, POLE, WALL)[:, None]
+    result = warped(gl_context, image, CAMERA, [rays(np.arange(119.0, 121.0, 0.0331), 0.4)])
+    wall, pole = decode_srgb(np.array([WALL, POLE], np.uint8)).astype(float)
+    share = (decode_srgb(result.colour[0, :, 0]).astype(float) - wall) / (pole - wall)
+    assert ((share > 0.1) & (share < 0.9)).sum() > 8
+    np.testing.assert_allclose(share, np.clip(present(result.source)[0, :, 0] - 119.5, 0.0, 1.0), atol=0.02)

@@ -153,6 +153,8 @@ class GlEye:
         picture, at = WarpedPicture(image, plan.samples_per_axis), plan.channels[0].eye_box.centre
         if overlays:
             OverlayImport(self._context)
+        if insets:
+            self._import.inset_program()
         overlay = SeenOverlay(image.colour, np.eye(3))
         for target, pictures, over in itertools.product(
             (None, WarpTarget(framebuffer, (0, 0), plan.size_px, False)),

@@ -99,8 +99,8 @@ class GlWarp:
 
     A first pass finds, for each cell of the warp grid, where its rays appear in the image and at which inverse depths
     they may meet it. The cells are then drawn in one call of each kind, because software renderers run both sides of a
-    branch for every pixel: cells that the image's depth moves by less than DIRECT_PX, with one sample for each display
-    pixel or with several, and cells whose pixels search along their rays.
+    branch for every pixel: cells that the image's depth moves by less than DIRECT_PX, and cells whose pixels search
+    along their rays.
 
     An inset, a sharper image of a part of the field of view, is drawn in the same way over the wider image; the wider
     image skips the cells that the inset fills. The inset's border blends into the wider image (`PictureImport.take`),
@@ -150,7 +150,7 @@ class GlWarp:
             )
             target = WarpTarget(made.framebuffer, (0, 0), size_px, True)
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
-            self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, with_status=True)
+            self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays)
         colour, status, *source = made.textures
         return GpuWarped(self._context, colour, status, source[0] if source else None)
 
@@ -170,7 +170,7 @@ class GlWarp:
             before = target.framebuffer.viewport
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
             try:
-                self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, with_status=False)
+                self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays)
             finally:
                 target.framebuffer.viewport = before
 
@@ -182,7 +182,6 @@ class GlWarp:
         target: WarpTarget,
         background: tuple[int, int, int],
         overlays: Sequence[SeenOverlay],
-        with_status: bool,
     ) -> None:
         _check(ray_maps, self._channels, image_from_ray_map, target.size_px)
         while len(self._cells) < len(pictures):
@@ -193,7 +192,7 @@ class GlWarp:
             cells.insert(0, self._cells[k].draw(*drawn, is_inset=k > 0, inset=cells[0] if cells else None))
         target.framebuffer.viewport = (*target.first_px, *target.size_px)
         self._context.draw_to(target.framebuffer)
-        constants = {"WITH_STATUS": int(with_status), "OVERLAYS": int(bool(overlays))}
+        constants = {"OVERLAYS": int(bool(overlays))}
         light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
         columns, rows = ray_maps[0].warp_grid.size
         for k, (picture, of_picture) in enumerate(zip(pictures, cells, strict=True)):
@@ -220,9 +219,8 @@ class GlWarp:
             on_quads = [each.place_of_ray @ image.camera.camera_from_image for each in overlays]
             places[: 3 * len(overlays)] = np.concatenate(on_quads)
         uniforms = uniforms | {"minified_samples_per_axis": float(picture.samples_per_axis)}
-        kinds = [(0, 0), (0, 1), (1, 1)] if picture.samples_per_axis > 1 else [(0, 0), (1, 1)]
-        for march, filtered in kinds:
-            drawing = self._drawing(MARCH=march, FILTERED=filtered, **constants)
+        for march in (0, 1):
+            drawing = self._drawing(MARCH=march, **constants)
             program = drawing.program
             gl.bind_textures(
                 program,

@@ -95,9 +95,8 @@ class GlDepthRanges:
         self._context, self._targets = context, gl.RenderTargets(context)
         self._last: tuple[GpuImage, DepthRanges] | None = None
         with context.drawing():
-            self._of_tiles = context.full_screen("tile_range.frag", TILE=TILE, OF_RANGES=0)
-            self._of_large_tiles = context.full_screen("tile_range.frag", TILE=TILE, OF_RANGES=1)
-            self._of_levels = context.full_screen("range_pyramid.frag", TILE=TILE)
+            self._of_image = context.full_screen("tile_range.frag", TILE=TILE)
+            self._of_tiles = context.full_screen("range_pyramid.frag", TILE=TILE)
 
     def of(self, image: GpuImage) -> DepthRanges:
         """Return textures that the next image's overwrite. Call within a `drawing` block.
@@ -107,11 +106,14 @@ class GlDepthRanges:
         if self._last is not None and self._last[0] is image:
             return self._last[1]
         size = image.inverse_depth.size
-        (tiles,) = self._draw("tiles", self._of_tiles, _tiled(size), values=image.inverse_depth)
-        (large,) = self._draw("large tiles", self._of_large_tiles, _tiled(_tiled(size)), values=tiles)
+        (tiles,) = self._draw("tiles", self._of_image, _tiled(size), values=image.inverse_depth)
+        gl.set_uniforms(self._of_tiles.program, target_height=0)
+        # The large tiles' sampler has another texture while they are drawn: a shader must not read its target.
+        large_size = _tiled(_tiled(size))
+        (large,) = self._draw("large tiles", self._of_tiles, large_size, tiles=tiles, large_tiles=tiles)
         side = 1 << max(2, (-(-max(_tiled(size)) // 2) - 1).bit_length())
-        gl.set_uniforms(self._of_levels.program, target_height=side)
-        (pyramid,) = self._draw("pyramid", self._of_levels, (2 * side, side), tiles=tiles, large_tiles=large)
+        gl.set_uniforms(self._of_tiles.program, target_height=side)
+        (pyramid,) = self._draw("pyramid", self._of_tiles, (2 * side, side), tiles=tiles, large_tiles=large)
         self._last = image, DepthRanges(tiles, pyramid)
         return self._last[1]
 

@@ -34,7 +34,7 @@ class PictureImport:
         self._copy = PictureCopy(context)
         self._targets = gl.RenderTargets(context)
         with context.drawing():
-            self._imports = [self._importing(DECODE=decode, INSET=0) for decode in (0, 1)]
+            self._imports = [context.full_screen("import_picture.frag", DECODE=decode, INSET=0) for decode in (0, 1)]
             self._samplers = {"srgb": context.plain_sampler(), "linear": context.plain_sampler(decodes=True)}
 
     def take(
@@ -184,8 +184,9 @@ class PictureImport:
             colour, depth = self._copy.copy_framebuffer(framebuffer, (camera.width_px, camera.height_px), stored)
             return self._take(camera, colour, depth, stored, rows, stored_colour, wider)
 
-    def _importing(self, **constants: int) -> gl.VertexArray:
-        return self._context.full_screen("import_picture.frag", **constants)
+    def inset_program(self) -> gl.VertexArray:
+        """Return the drawing of insets, compiled when it is first asked for."""
+        return self._context.full_screen("import_picture.frag", DECODE=0, INSET=1)
 
     def _take(
         self,
@@ -208,7 +209,7 @@ class PictureImport:
         target = self._targets.get(f"picture {kind}", (camera.width_px, camera.height_px), (4, kind), (1, "f4"))
         self._context.draw_to(target.framebuffer)
         decodes = codes and not in_bytes
-        drawing = self._imports[decodes] if wider is None else self._importing(DECODE=int(decodes), INSET=1)
+        drawing = self._imports[decodes] if wider is None else self.inset_program()
         program = drawing.program
         textures = {"stored_colour": colour, "stored_depth": colour if depth is None else depth}
         if wider is not None:
@@ -219,6 +220,7 @@ class PictureImport:
                 wider_from_inset=pixels_from(camera, wider.camera),
                 border_px=BORDER * min(camera.width_px, camera.height_px),
                 shares_depth=depth is None,
+                decodes=decodes,
             )
         gl.bind_textures(program, **textures)
         # Codes of fewer bits than the numbers of a uint16 texture, which holds 65535 as 1.
