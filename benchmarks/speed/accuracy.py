@@ -20,7 +20,6 @@ from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.scene.scene import Scene
 from wlr_render.warp.compositor import Compositor
-from wlr_render.warp.frame_handle import row_poses
 from wlr_render.warp.ray_map import RayMapPlan, choose_plan, ray_map
 
 SILHOUETTE_PX = 2
@@ -74,7 +73,7 @@ class ScanOutPose:
     def row_poses(self, rows: int) -> FloatArray:
         """(rows, 4, 4)."""
         last = self.pose if self.pose_at_last_row is None else self.pose_at_last_row
-        return row_poses(self.pose, last, rows)
+        return transforms.between(self.pose, last, np.linspace(0.0, 1.0, rows))
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Rays told in another frame, coarser than pixels, per row and per colour; pictures into a caller's framebuffer."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,8 @@ def assert_alike(one: WarpedImage, other: WarpedImage, share: float = 0.999) -> 
 
 CELLS = WarpGrid.edge_to_edge(Panel(80, 60), 21, 16)
 FINE_CELLS = WarpGrid.edge_to_edge(Panel(80, 60), 81, 61)
+# Rows of the display at the rows of those grids; 0 is the centre of the first row.
+ROW_OF_CELLS, ROW_OF_FINE_CELLS = (grid.axes_px()[1] - 0.5 for grid in (CELLS, FINE_CELLS))
 
 
 def at_points(warp_grid: WarpGrid, offset: float = 0.02) -> Float32Array:
@@ -106,33 +108,40 @@ def test_rays_transformed_to_another_frame(gl_context: GlContext, image: Geometr
 
 
 def test_each_row_has_its_own_transform(gl_context: GlContext, image: GeometryImage) -> None:
-    by_row = np.stack([motion(0.1 * k / HEIGHT, (0.02 * k / HEIGHT, 0, 0)) for k in range(HEIGHT)])
-    result = by_opengl(gl_context, image, [0.02], by_row)
+    def of_row(k: float) -> FloatArray:
+        return motion(0.1 * k / HEIGHT, (0.02 * k / HEIGHT, 0, 0))
+
+    result = by_opengl(gl_context, image, [0.02], np.stack([of_row(k) for k in ROW_OF_FINE_CELLS]))
     for row in (0, 31, HEIGHT - 1):
-        alone = by_opengl(gl_context, image, [0.02], by_row[row])
-        of_row, expected = (
+        alone = by_opengl(gl_context, image, [0.02], of_row(row))
+        shown, expected = (
             WarpedImage(each.colour[row], each.status[row], present(each.source)[row]) for each in (result, alone)
         )
-        assert_alike(of_row, expected)
+        assert_alike(shown, expected)
 
 
-def assert_fine_enough(context: GlContext, image: GeometryImage, transform: FloatArray, most_px: float) -> None:
+def assert_fine_enough(
+    context: GlContext, image: GeometryImage, of_row: Callable[[float], FloatArray], most_px: float
+) -> None:
     """Assert that a coarse grid of curved rays gives the sources of one with a point at every pixel's corners."""
+    by_coarse_row, by_fine_row = (np.stack([*map(of_row, rows)]) for rows in (ROW_OF_CELLS, ROW_OF_FINE_CELLS))
     field, picture = uploaded_field(context, at_points(CELLS), CELLS), uploaded(context, image, CAMERA)
-    drawn = GlWarp(context).draw(picture, [field], transform, (WIDTH, HEIGHT), with_source=True).read()
-    expected = by_opengl(context, image, [0.02], transform)
+    drawn = GlWarp(context).draw(picture, [field], by_coarse_row, (WIDTH, HEIGHT), with_source=True).read()
+    expected = by_opengl(context, image, [0.02], by_fine_row)
     same = (drawn.status == 0) & (expected.status == 0)
     assert same.mean() > 0.7
     assert np.percentile(np.abs(present(drawn.source) - present(expected.source))[same], 99) < most_px
 
 
 def test_rows_between_coarse_grid_points_take_their_own_transform(gl_context: GlContext, image: GeometryImage) -> None:
-    by_row = np.stack([motion(0.02 * k / HEIGHT, (0.005 * k / HEIGHT, 0, 0)) for k in range(HEIGHT)])
-    assert_fine_enough(gl_context, image, by_row, 0.005)
+    def of_row(k: float) -> FloatArray:
+        return motion(0.02 * k / HEIGHT, (0.005 * k / HEIGHT, 0, 0))
+
+    assert_fine_enough(gl_context, image, of_row, 0.005)
 
 
 def test_second_differences_make_a_coarse_grid_exact(gl_context: GlContext, image: GeometryImage) -> None:
-    assert_fine_enough(gl_context, image, np.eye(4), 0.003)
+    assert_fine_enough(gl_context, image, lambda _: np.eye(4), 0.003)
 
 
 @pytest.mark.parametrize("samples_per_axis", [1, 2])
@@ -188,7 +197,7 @@ def test_into_a_part_of_a_callers_framebuffer(gl_context: GlContext, image: Geom
     field = uploaded_field(gl_context, at_points(CELLS), CELLS)
     viewport = framebuffer.viewport
     target = WarpTarget(framebuffer, (20, 5), (WIDTH, HEIGHT), top_row_first)
-    by_row = np.stack([motion(0.1 * k / HEIGHT) for k in range(HEIGHT)])
+    by_row = np.stack([motion(0.1 * k / HEIGHT) for k in ROW_OF_CELLS])
     warp.draw_into(target, picture, [field], by_row, (1, 2, 3), samples_per_axis=2)
     assert framebuffer.viewport == viewport
     expected = warp.draw(picture, [field], by_row, (WIDTH, HEIGHT), (1, 2, 3), samples_per_axis=2).read().colour
@@ -211,4 +220,4 @@ def test_mismatched_ray_maps_and_transforms_are_refused(gl_context: GlContext, i
         with pytest.raises(BadInputError, match="one ray map for each channel, all of one warp grid"):
             warp.draw(picture, fields, np.eye(4), (WIDTH, HEIGHT))
     with pytest.raises(BadInputError, match="one transform for each row"):
-        warp.draw(picture, [field] * 3, np.zeros((HEIGHT - 1, 4, 4)), (WIDTH, HEIGHT))
+        warp.draw(picture, [field] * 3, np.zeros((HEIGHT, 4, 4)), (WIDTH, HEIGHT))

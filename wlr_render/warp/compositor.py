@@ -326,10 +326,11 @@ class Compositor:
             targets = self._backend.targets(into, chosen, self.size_px)
             newest, measured = self._predictor.predict(newest, measured, time_s, predict_s)
             viewpoints = self._history.viewpoints | measured
-            poses = newest if last_row is None else row_poses(newest, last_row, self.size_px[1], scan)
             for eye in chosen:
-                view, at = self._history.shown[eye][eye].view, viewpoints[eye]
-                moved = image_from_ray_map(view, at, self._plans[eye].device_from_camera, poses)
+                view, at, plan = self._history.shown[eye][eye].view, viewpoints[eye], self._plans[eye]
+                grid_rows, height_px = plan.warp_grid.grid.rows, self.size_px[1]
+                poses = newest if last_row is None else row_poses(newest, last_row, height_px, grid_rows, scan)
+                moved = image_from_ray_map(view, at, plan.device_from_camera, poses)
                 over = self._backend.eyes[eye].seen_overlays(view, newest)
                 composed[eye] = self._backend.eyes[eye].compose(at, moved, targets.get(eye), with_source, over)
         generations = {eye: self._backend.eyes[eye].generation for eye in chosen}

@@ -205,11 +205,13 @@ def _is_usable(between_s: float, ahead_s: float) -> bool:
     return bool(ahead_s) and between_s <= LONGEST_S
 
 
-def row_poses(first: FloatArray, last: FloatArray, rows: int, scan: Scan = "down") -> FloatArray:
-    """Interpolate the head pose of each row, (rows, 4, 4) from the top, between two (4, 4).
+def row_poses(first: FloatArray, last: FloatArray, height_px: int, grid_rows: int, scan: Scan = "down") -> FloatArray:
+    """Head poses at the rows of a warp grid, (grid_rows, 4, 4) from the display's top edge to its bottom edge.
 
-    `first` is the pose when the first row lights up, the bottom one with "up". Rows light up at equal intervals, and
-    the head moves at constant speed meanwhile.
+    `first` (4, 4) is the pose when the first pixel row lights up, the bottom one with "up"; `last` that of the last.
+    The rows light up at equal intervals, and the head moves at constant speed meanwhile, also over the half pixels
+    between the centres of the outermost rows and the edges.
     """
-    poses = transforms.between(first, last, np.linspace(0.0, 1.0, rows))
+    pixel_row = np.linspace(0, height_px, grid_rows) - 0.5
+    poses = transforms.between(first, last, pixel_row / max(height_px - 1, 1))
     return poses if scan == "down" else poses[::-1]

@@ -138,7 +138,7 @@ class GlEye:
         with_source: bool,
         overlays: Sequence[SeenOverlay],
     ) -> GlComposed:
-        """Return the picture for a viewpoint (3,), through (4, 4) or (rows, 4, 4), into a target of `targets`."""
+        """Return the picture for a viewpoint (3,), through (4, 4) or (grid rows, 4, 4), into a target of `targets`."""
         assert self._pictures, "the compositor checks that the eye is submitted"
         self.generation += 1
         return self._composed(self._pictures, viewpoint, image_from_ray_map, target, with_source, overlays)

@@ -132,7 +132,7 @@ class GlWarp:
             image: in this object's context.
             ray_maps: world rays at the points of one warp grid, one map for each channel.
             image_from_ray_map: rigid, from the camera frame of the ray maps to the image's, (4, 4), or
-                (height, 4, 4) with one for each row of the display.
+                (rows, 4, 4) with one for each row of the warp grid.
             size_px: (width, height) of the picture, which covers the panel.
             background: sRGB for pixels that show nothing of the image.
             samples_per_axis: of the image, as in `WarpedPicture`.
@@ -183,7 +183,7 @@ class GlWarp:
         background: tuple[int, int, int],
         overlays: Sequence[SeenOverlay],
     ) -> None:
-        _check(ray_maps, self._channels, image_from_ray_map, target.size_px)
+        _check(ray_maps, self._channels, image_from_ray_map)
         while len(self._cells) < len(pictures):
             self._cells.append(_GlCells(self._context, self._channels))
         cells: list[_Cells] = []  # the sharpest picture comes first: a wider picture's cells depend on it
@@ -290,7 +290,7 @@ class _GlCells:
         textures: dict[str, Any] = {"tiles": ranges.tiles, "ranges": ranges.pyramid, "slope_offset": rays, **unused}
         if by_rows:
             rows = self._targets.get("row matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
-            rows.write(np.ascontiguousarray(_at_grid_rows(matrices, warp_grid.rows), np.float32))
+            rows.write(np.ascontiguousarray(matrices, np.float32))
             textures["row_matrices"] = rows
         else:
             gl.set_array(program, "camera_matrix", matrices)
@@ -308,26 +308,15 @@ class _GlCells:
         return _Cells(paths, bends, mixed_bends_and_ranges, ranges, size_px)
 
 
-def _check(
-    ray_maps: Sequence[RayTexture], channels: int, image_from_ray_map: FloatArray, size_px: tuple[int, int]
-) -> None:
+def _check(ray_maps: Sequence[RayTexture], channels: int, image_from_ray_map: FloatArray) -> None:
     if len(ray_maps) != channels or len({each.warp_grid.size for each in ray_maps}) > 1:
         raise BadInputError(
             f"{len(ray_maps)} ray maps for a warp of {channels} channels; give one ray map for each channel, all of "
             "one warp grid."
         )
-    if image_from_ray_map.shape not in ((4, 4), (size_px[1], 4, 4)):
+    rows = ray_maps[0].warp_grid.rows
+    if image_from_ray_map.shape not in ((4, 4), (rows, 4, 4)):
         raise BadInputError(
-            f"image_from_ray_map has the shape {image_from_ray_map.shape}; give (4, 4), or ({size_px[1]}, 4, 4) with "
-            "one transform for each row of the display."
+            f"image_from_ray_map has the shape {image_from_ray_map.shape}; give (4, 4), or ({rows}, 4, 4) with one "
+            "transform for each row of the warp grid."
         )
-
-
-def _at_grid_rows(matrices: FloatArray, rows: int) -> FloatArray:
-    """(height, 3, 4) at the centres of the display's rows -> (rows * 3, 4) at a warp grid's, from edge to edge."""
-    height = len(matrices)
-    place = np.linspace(0, height, rows) - 0.5
-    first = np.clip(np.floor(place).astype(int), 0, max(height - 2, 0))
-    second = np.minimum(first + 1, height - 1)
-    share = (place - first)[:, None, None]
-    return np.asarray((1 - share) * matrices[first] + share * matrices[second]).reshape(-1, 4)
