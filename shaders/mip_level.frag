@@ -8,6 +8,8 @@ uniform int level;   // of the finer texture
 uniform ivec2 size;  // of what is shrunk, from the finer level's first texel
 uniform int count;   // texels of the result along the axis
 uniform bool along_x;
+uniform bool decodes;  // the finer texture holds sRGB codes that OpenGL does not decode
+uniform bool encodes;  // the result is written as sRGB codes
 
 layout(location = 0) out vec4 colour;
 
@@ -21,13 +23,9 @@ void main()
     for (int k = first / count; k * count < end; ++k) {
         int covered = min((k + 1) * count, end) - max(k * count, first);
         vec4 texel = texelFetch(finer, along_x ? ivec2(k, at.y) : ivec2(at.x, k), level);
-#if DECODE
-        texel.rgb = linear_of_srgb(texel.rgb);
-#endif
+        texel.rgb = decodes ? linear_of_srgb(texel.rgb) : texel.rgb;
         colour += float(covered) * texel;
     }
     colour /= float(parts);
-#if ENCODE
-    colour.rgb = srgb_of_linear(colour.rgb);
-#endif
+    colour.rgb = encodes ? srgb_of_linear(colour.rgb) : colour.rgb;
 }

@@ -232,7 +232,7 @@ def test_layers_insets_and_kinds_of_frames_share_their_programs(
 ) -> None:
     compiled = programs_compiled(monkeypatch)
     compositor(planar(), context="egl").prepare(overlays=4, insets=True)
-    assert 0 < len(compiled) <= 13
+    assert 0 < len(compiled) <= 12
 
 
 def test_pictures_are_read_without_waiting_and_stay_as_they_were(

@@ -5,6 +5,7 @@ everything drawn from such a level is displaced.
 """
 
 import ctypes
+from typing import Any
 
 from wlr_render.gl import gl
 
@@ -17,7 +18,7 @@ class MipLevels:
     def __init__(self, context: gl.GlContext) -> None:
         self._context, self._targets = context, gl.RenderTargets(context)
         with context.drawing():
-            self._shrinking(), self._shrinking(encodes=True)  # compiled here, in no frame
+            self._drawing = context.full_screen("mip_level.frag")
         self._copy = context.function("glCopyTexSubImage2D", ctypes.c_uint, *[ctypes.c_int] * 7)
 
     def fill(self, texture: gl.Texture) -> None:
@@ -45,31 +46,29 @@ class MipLevels:
         across = self._targets.get("across", largest, (4, "f4"))
         down = self._targets.get(f"down {texture.dtype}", sizes[1], (4, texture.dtype))
         narrow = width, sizes[finer][1]
-        decoding, encoding = self._shrinking(holds_codes), self._shrinking(encodes=holds_codes or gl.is_srgb(texture))
-        self._shrink(decoding, texture, finer, sizes[finer], across, narrow, width, along_x=True)
-        self._shrink(encoding, across.textures[0], 0, narrow, down, (width, height), height, along_x=False)
+        axis: dict[str, Any] = {"along_x": True, "count": width, "decodes": holds_codes, "encodes": False}
+        self._shrink(texture, finer, sizes[finer], across, narrow, axis)
+        encodes = holds_codes or gl.is_srgb(texture)
+        axis = {"along_x": False, "count": height, "decodes": False, "encodes": encodes}
+        self._shrink(across.textures[0], 0, narrow, down, (width, height), axis)
         texture.use(self._context.texture_unit)
         self._copy(_TEXTURE_2D, level, 0, 0, 0, 0, width, height)
 
-    def _shrinking(self, decodes: bool = False, encodes: bool = False) -> gl.VertexArray:
-        return self._context.full_screen("mip_level.frag", DECODE=int(decodes), ENCODE=int(encodes))
-
     def _shrink(
         self,
-        drawing: gl.VertexArray,
         finer: gl.Texture,
         level: int,
         size: tuple[int, int],
         target: gl.RenderTarget,
         shrunk: tuple[int, int],
-        count: int,
-        along_x: bool,
+        axis: dict[str, Any],
     ) -> None:
-        gl.bind_textures(drawing.program, finer=finer)
-        gl.set_uniforms(drawing.program, level=level, size=size, count=count, along_x=along_x)
+        program = self._drawing.program
+        gl.bind_textures(program, finer=finer)
+        gl.set_uniforms(program, level=level, size=size, **axis)
         target.framebuffer.viewport = (0, 0, *shrunk)
         self._context.draw_to(target.framebuffer)
-        drawing.render(vertices=3)
+        self._drawing.render(vertices=3)
 
 
 def level_sizes(size: tuple[int, int]) -> list[tuple[int, int]]:
