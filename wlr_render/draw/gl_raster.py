@@ -5,6 +5,8 @@ origin costs no precision. Both sides of every triangle are drawn, without multi
 centre sees.
 """
 
+import ctypes
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,9 @@ from wlr_render.warp.view import GeometryImage, View
 
 NEAR_M = 0.05
 """Nothing nearer to the viewpoint than this is drawn."""
+
+_COLOR = 0x1800
+_AT_INFINITY = (ctypes.c_float * 4)()
 
 
 class GlRaster:
@@ -36,7 +41,8 @@ class GlRaster:
                 "scene.vert", "scene.frag", POINT_LIGHTS=len(self._lamps), DIRECTIONAL_LIGHTS=len(self._suns)
             )
             self._meshes = [_upload(context, self._program, mesh) for mesh in scene.meshes]
-            self._background = context.full_screen("background.frag")
+            self._clear_buffer = context.function("glClearBufferfv", ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
+        self._background = _triple(encode_srgb(scene.background) / 255)
 
     def draw(self, view: View) -> GeometryImage:
         """Draw and fetch colour and inverse depth."""
@@ -48,8 +54,9 @@ class GlRaster:
             size = view.camera.width_px, view.camera.height_px
             target = self._targets.get(name, size, (4, "srgb"), (1, "f4"), with_depth=True)
             target.framebuffer.use()
-            # Only the depth matters here: the background is drawn last, at infinity, over what nothing has covered.
-            target.framebuffer.clear(depth=1.0)
+            red, green, blue = self._background
+            target.framebuffer.clear(red, green, blue, 1.0, 1.0)
+            self._clear_buffer(_COLOR, 1, _AT_INFINITY)  # ModernGL clears all colour buffers to one value
             self._context.depth_test()
             camera_from_world = transforms.inverse(view.world_from_camera)
             self._set_view(view, camera_from_world)
@@ -59,9 +66,6 @@ class GlRaster:
                 if texture is not None:
                     gl.bind_textures(self._program, base_texture=texture)
                 self._meshes[instance.mesh].render()
-            background = _triple(encode_srgb(self._scene.background) / 255)
-            gl.set_uniforms(self._background.program, background=background)
-            self._background.render(vertices=3)
         colour, inverse_depth = target.textures
         return GpuImage(self._context, view.camera, colour, inverse_depth, view, self._latest.drawn(name, view))
 
