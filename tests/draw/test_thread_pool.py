@@ -1,10 +1,13 @@
 import os
 import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import pytest
 
-from wlr_render.draw.thread_pool import for_blocks
+from wlr_render.draw.thread_pool import for_blocks, in_background
 from wlr_render.work.workers import usable_cores
 
 
@@ -42,6 +45,55 @@ def test_the_exception_of_a_block_arrives() -> None:
 
     with pytest.raises(ValueError, match="third"):
         for_blocks(work, 6, 1)
+
+
+@pytest.mark.parametrize("most", [0, 1, 3])
+def test_results_come_in_order_from_a_bounded_number_of_tasks(most: int) -> None:
+    made, finished = list[int](), list[int]()
+    go_on = threading.Event()
+
+    def task(number: int) -> int:
+        if number == 0 and most:
+            assert go_on.wait(60)
+        return number
+
+    def tasks() -> Iterator[Callable[[], int]]:
+        for number in range(9):
+            made.append(number)
+            assert len(made) - len(finished) <= most + 1
+            if number == most:
+                go_on.set()
+            yield partial(task, number)
+
+    for result in in_background(tasks(), most):
+        finished.append(result)
+    assert finished == list(range(9))
+
+
+def test_background_work_that_is_interrupted_finishes_begun_tasks_and_drops_the_others() -> None:
+    begun, ended, slow_has_begun = list[int](), list[int](), threading.Event()
+
+    def task(number: int) -> None:
+        begun.append(number)
+        if number == 2:
+            raise ValueError("third")
+        if number == 10:
+            slow_has_begun.set()
+            time.sleep(0.3)
+        ended.append(number)
+
+    def interrupted() -> Iterator[Callable[[], None]]:
+        yield from (partial(task, number) for number in range(10, 40))
+        assert slow_has_begun.wait(60)
+        raise KeyboardInterrupt
+
+    with pytest.raises(ValueError, match="third"):
+        list(in_background((partial(task, number) for number in range(9)), 4))
+    assert sorted(begun) == sorted([*ended, 2])
+    with pytest.raises(KeyboardInterrupt):
+        list(in_background(interrupted(), 50))
+    assert 10 in ended
+    assert sorted(begun) == sorted([*ended, 2])
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")

@@ -2,6 +2,7 @@ import json
 import os
 import shutil
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -11,6 +12,7 @@ from typing import Any, Literal, NoReturn, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from present import as_number, narrowed
 
 from wlr_render.budget.registration_budget import registration_covariance
@@ -171,6 +173,40 @@ def test_a_sequence_that_filled_the_disk_ends_up_the_same_when_there_is_space_ag
         resource.setrlimit(resource.RLIMIT_FSIZE, (before, most))
     render(again)
     assert pictures(again.out) == pictures(moving.out)
+
+
+def test_files_are_written_while_later_frames_are_drawn_and_a_listed_frame_has_all_of_them(
+    moving: RenderOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = replace(moving, maps="tiff")
+    render(job)
+    again, third_is_drawn, drawn = replace(job, out=tmp_path / "again"), threading.Event(), list[object]()
+    paint, listed = WarpedPainter.paint, list[str]()
+
+    def painted(*given: Any, **options: Any) -> Frame:
+        drawn.append(given)
+        if len(drawn) == 3:
+            third_is_drawn.set()
+        return paint(*given, **options)
+
+    def written(path: Path, colour: NDArray[np.uint8]) -> Path:
+        assert third_is_drawn.wait(60), "no frame is drawn before the files of the first one are written"
+        return write_png(path, colour)
+
+    def watched(items: Iterable[Any]) -> Iterator[Any]:
+        for frame in items:
+            listed.append(list(frame.files)[-1].name)
+            assert [path for path in frame.files if not path.exists()] == []
+            yield frame
+
+    monkeypatch.setattr(WarpedPainter, "paint", painted)
+    monkeypatch.setattr(frame_drawing, "write_png", written)
+    render(again, progress=PassedOn(watched))
+    assert listed == [f"right-{number:06}.png" for number in range(5)]
+    names = ["metadata.jsonl", *(path.name for path in job.out.glob("right-*"))]
+    assert len(names) == 16
+    for name in names:
+        assert (again.out / name).read_bytes() == (job.out / name).read_bytes(), name
 
 
 @pytest.mark.gl

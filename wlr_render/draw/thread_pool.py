@@ -3,10 +3,14 @@
 import functools
 import os
 import threading
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import TypeVar
 
 from wlr_render.work.workers import usable_cores
+
+Result = TypeVar("Result")
 
 _thread = threading.local()
 
@@ -24,6 +28,30 @@ def for_blocks(work: Callable[[slice], None], total: int, block: int) -> None:
         return
     for _ in _pool().map(work, slices):
         pass
+
+
+def in_background(tasks: Iterable[Callable[[], Result]], most: int) -> Generator[Result]:
+    """Yield the results of tasks in their order, while the threads work on the tasks that follow.
+
+    The first exception of a task is raised here. Then, or if the caller stops, tasks that have begun are finished, and
+    the others are dropped.
+
+    Args:
+        tasks: made one by one in the caller's thread.
+        most: number of unfinished tasks with which the next one is made; 0: each is finished first.
+    """
+    waiting = deque[Future[Result]]()
+    try:
+        for task in tasks:
+            waiting.append(_pool().submit(task))
+            while waiting and (len(waiting) > most or waiting[0].done()):
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        for future in waiting:
+            future.cancel()
+        wait(waiting)
 
 
 @functools.cache

@@ -1,15 +1,17 @@
 """Drawing of frames and writing of their files, in the process of the job or in its workers.
 
-`FrameDrawing.frames` draws in both cases, and `FrameDrawing.draw` one frame. Each worker opens the headset, the scene
-and OpenGL, and keeps them for its next frames of this or another job that draws the same from elsewhere.
+`FrameDrawing.frames` draws in both cases. In the process of the job, threads write the files of a frame while the next
+frames are drawn. Each worker opens the headset, the scene and OpenGL, and keeps them for its next frames of this or
+another job that draws the same from elsewhere.
 """
 
 import contextlib
 import itertools
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from wlr_render.draw.painters import Frame, Painter, TracedPainter, is_blank
 from wlr_render.draw.raster_painter import WarpedPainter
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.draw.scene_raster import SceneRaster, open_scene_raster
+from wlr_render.draw.thread_pool import in_background
 from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import hashes_of_inputs, may_refer_outside, outside_references, prefix_errors
 from wlr_render.io.kept import Facts, Signature, signatures_of
@@ -44,9 +47,11 @@ from wlr_render.scene.image_files import write_map, write_png
 from wlr_render.scene.scene import Scene
 from wlr_render.scene.scene_file import load_scene, scene_path
 from wlr_render.warp.view import write_view
-from wlr_render.work.workers import LOCAL, as_finished
+from wlr_render.work.workers import LOCAL, as_finished, usable_cores
 
+_Write = Callable[[], object]
 _FRAMES_OF_A_BLOCK = 8  # most frames per block; an interrupted run may lose as many with each worker
+_UNWRITTEN = 6  # most frames with unfinished files; with all layers and maps one of 1440 x 1600 px takes 0.2 GB
 _BLOCKS = 64  # fewest blocks if there are as many frames; with fewer, workers wait for the last block
 
 
@@ -198,8 +203,10 @@ class FrameDrawing:
     opened: OpenedFiles
     raster: SceneRaster | None
 
-    def frames(self, plan: Sequence[PlannedFrame]) -> "Iterator[DrawnFrame]":
-        """Frames in the order in which they are finished, drawn by this process or by workers.
+    def frames(self, plan: Sequence[PlannedFrame]) -> Generator[DrawnFrame]:
+        """Frames drawn by this process, in their order, or by workers, in the order in which they are finished.
+
+        Close it: files are then no longer written.
 
         Raises:
             BadInputError: no cluster answers, or something that the options need is not there; nothing is written then.
@@ -210,11 +217,13 @@ class FrameDrawing:
         if self.options.worker_pool == LOCAL:
             if plan:
                 _ = self._painters, self._error_maps
-            return (self.draw(planned, self.options.out) for planned in plan)
+            # A path-traced frame takes minutes, and is listed before the next one begins.
+            most = 0 if self.options.method == "pathtrace" else min(usable_cores(), _UNWRITTEN)
+            return in_background(self.writes(plan, self.options.out), most)
         size = min(max(len(plan) // _BLOCKS, 1), _FRAMES_OF_A_BLOCK)
         blocks = [self.block(plan[start : start + size]) for start in range(0, len(plan), size)]
         drawn = as_finished(draw_block, blocks, self.options.worker_pool, self.options.out)
-        return itertools.chain.from_iterable(drawn)
+        return (frame for block in drawn for frame in block)
 
     def block(self, plan: Sequence[PlannedFrame]) -> "FrameBlock":
         """Frames for a worker."""
@@ -251,42 +260,63 @@ class FrameDrawing:
                 maps[eye] = ErrorMap(mappings, sizes)
         return maps
 
-    def draw(self, planned: PlannedFrame, folder: Path) -> DrawnFrame:
-        """Draw a frame and write its files into a folder."""
-        options, with_maps = self.options, self.options.maps is not None
-        with_geometry = with_maps or bool(self.opened.truths)
-        painter = self._painters[planned.eye]
-        frame = painter.paint(planned.viewpoint, planned.world_from_device, with_geometry=with_geometry)
-        sources = frame.sources if with_maps else ()
-        for path, source in zip(map_files(folder, planned, options), sources, strict=True):
-            write_map(path, source)
-        if with_maps and frame.view is not None:
-            write_view(planned.file(folder, _VIEW), frame.view)
-        facts = planned.facts | {"blank": is_blank(frame.colour)} | self._label(folder, planned, frame)
-        write_png(planned.file(folder), frame.colour)
-        return DrawnFrame(signatures_of(files_of(folder, planned, options)), facts)
+    def writes(self, plan: Sequence[PlannedFrame], folder: Path) -> Iterator[Callable[[], DrawnFrame]]:
+        """Draw frames, and yield for each the function that writes its files into a folder; any thread may call it.
 
-    def _label(self, folder: Path, planned: PlannedFrame, frame: Frame) -> dict[str, Any]:
-        """Write the layers, the instances and the map of predicted errors of a frame, if they are asked for.
-
-        Returns:
-            The misalignment and the predicted error, if they are asked for.
+        A rasterised frame is read from the GPU after the next one has been handed to it.
         """
-        facts: dict[str, Any] = {}
+        painted = deque[tuple[PlannedFrame, Frame]]()
+        for planned in plan:
+            painted.append((planned, self._paint(planned)))
+            if len(painted) > 1 or self.raster is None:
+                yield self._write_of(*painted.popleft(), folder)
+        while painted:
+            yield self._write_of(*painted.popleft(), folder)
+
+    def _paint(self, planned: PlannedFrame) -> Frame:
+        with_geometry = self.options.maps is not None or bool(self.opened.truths)
+        painter = self._painters[planned.eye]
+        return painter.paint(planned.viewpoint, planned.world_from_device, with_geometry=with_geometry)
+
+    def _write_of(self, planned: PlannedFrame, frame: Frame, folder: Path) -> Callable[[], DrawnFrame]:
+        """Label a painted frame, and return the function that writes its files."""
+        options, colour = self.options, frame.colour
+        labels, writes = self._label(folder, planned, frame)
+        if options.maps is not None:
+            maps = zip(map_files(folder, planned, options), frame.sources, strict=True)
+            writes += [partial(write_map, *each) for each in maps]
+            if frame.view is not None:
+                writes.append(partial(write_view, planned.file(folder, _VIEW), frame.view))
+
+        def write() -> DrawnFrame:
+            for write_file in writes:
+                write_file()
+            write_png(planned.file(folder), colour)
+            facts = planned.facts | {"blank": is_blank(colour)} | labels
+            return DrawnFrame(signatures_of(files_of(folder, planned, options)), facts)
+
+        return write
+
+    def _label(self, folder: Path, planned: PlannedFrame, frame: Frame) -> tuple[dict[str, Any], list[_Write]]:
+        """Return the misalignment and the predicted error of a frame, if they are asked for.
+
+        The functions that follow write its layers, its instances and its map of predicted errors.
+        """
+        facts, writes = dict[str, Any](), list[_Write]()
         layers, depth_m = self.options.layers, self.options.predicted_error
         if layers:
             channels = frame_layers(self._renderer, frame.ray_map, planned.world_from_device, layers)
-            write_layers(planned.file(folder, LAYERS_FILE), planned, channels, layers)
+            writes.append(partial(write_layers, planned.file(folder, LAYERS_FILE), planned, channels, layers))
             if "instance" in layers:
                 annotations = named_annotations(channels[INSTANCE], self.opened.scene)
-                write_labels(planned.file(folder, LABELS_FILE), annotations)
+                writes.append(partial(write_labels, planned.file(folder, LABELS_FILE), annotations))
         if self.opened.truths:
             facts["misalignment"] = frame_misalignment(self.opened.truths[planned.eye], planned, frame)
         if depth_m is not None:
             error = self._error_maps[planned.eye].at(planned.viewpoint, depth_m)
-            write_map(planned.file(folder, _ERROR), error.map_arcmin)
+            writes.append(partial(write_map, planned.file(folder, _ERROR), error.map_arcmin))
             facts["predicted_error"] = error.record
-        return facts
+        return facts, writes
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,7 +345,7 @@ def draw_block(block: FrameBlock) -> list[DrawnFrame]:
         BadInputError: the worker has other files or no OpenGL.
     """
     drawing = _kept_drawing(block)
-    return [drawing.draw(planned, block.options.out) for planned in block.plan]
+    return [write() for write in drawing.writes(block.plan, block.options.out)]
 
 
 _kept: dict[str, tuple[FrameDrawing, contextlib.ExitStack]] = {}

@@ -72,10 +72,10 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     finished = _kept(folder, options, opened, raster, plan)
     missing = [planned for planned in plan if finished.unfinished(files_of(folder, planned, options))]
     changed = [planned for planned in missing if finished.changed(files_of(folder, planned, options))]
-    drawn = FrameDrawing(options, opened, raster).frames(missing)
-    finished.begin()
-    for frame in progress(drawn, len(missing), "frames"):
-        finished.add(frame.files, frame.facts)
+    with contextlib.closing(FrameDrawing(options, opened, raster).frames(missing)) as drawn:
+        finished.begin()
+        for frame in progress(drawn, len(missing), "frames"):
+            finished.add(frame.files, frame.facts)
     pictures = [planned.file(folder) for planned in plan]
     rows = [{"file_name": path.name, **finished.facts(path)} for path in pictures]
     joined = [write_text(folder / METADATA, "".join(f"{json.dumps(row)}\n" for row in rows))]
