@@ -49,12 +49,6 @@ void main() {
     colour = vec4(texture(surface, texture_uv).rgb * light, 1.0);
 }
 """
-_FULL_SCREEN = """
-#version 430
-void main() {
-    gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0);
-}
-"""
 _WARP = """
 #version 410
 uniform sampler2D picture;
@@ -108,7 +102,7 @@ def bare_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) -> C
     surface = context.texture(texture.shape[1::-1], 3, np.ascontiguousarray(texture), alignment=1)
     scene_pass["clip_from_world"].write(np.ascontiguousarray(_clip_from_world(view).T, np.float32))
     scene_pass["towards_light"].value = (0.36, 0.8, 0.48)
-    warp_pass = context.program(vertex_shader=_FULL_SCREEN, fragment_shader=_WARP)
+    warp_pass = context.program(vertex_shader=shader_source("full_screen.vert", {}), fragment_shader=_WARP)
     picture = context.texture(source_uv.shape[1::-1], 4)
 
     def draw() -> None:
@@ -156,7 +150,7 @@ def shaded_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) ->
     for name, each in numbers.items():
         scene_pass[name].write(np.array(each, np.float32).tobytes())
     scene_pass["has_texture"].value, scene_pass["base_texture"].value = True, 0
-    warp_pass = context.program(vertex_shader=_FULL_SCREEN, fragment_shader=_LINEAR_WARP)
+    warp_pass = context.program(vertex_shader=shader_source("full_screen.vert", {}), fragment_shader=_LINEAR_WARP)
     picture = context.texture(source_uv.shape[1::-1], 4, internal_format=_SRGB8_ALPHA8)
 
     def draw() -> None:

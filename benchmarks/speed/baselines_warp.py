@@ -76,14 +76,14 @@ class GlWarpBaseline:
     """One warp in its own OpenGL context.
 
     Attributes:
+        context: ModernGL's; a context manager that makes it current.
         draw: draws one frame into the target; returns before the GPU has finished.
-        finish: waits for the GPU.
         read: reads the target, (height, width, 4) uint8, top row first.
         release: destroys the context and all its objects.
     """
 
+    context: Any
     draw: Callable[[], None]
-    finish: Callable[[], None]
     read: Callable[[], Uint8Array]
     release: Callable[[], None]
 
@@ -201,12 +201,8 @@ def _texture(context: Any, content: Uint8Array | Float32Array) -> Any:
 
 
 def _baseline(context: Any, target: Any, draw: Callable[[], None]) -> GlWarpBaseline:
-    def finish() -> None:
-        context.__enter__()
-        context.finish()
-
     def read() -> Uint8Array:
         context.__enter__()
         return np.frombuffer(target.read(), np.uint8).reshape(target.height, target.width, 4)
 
-    return GlWarpBaseline(draw, finish, read, context.release)
+    return GlWarpBaseline(context, draw, read, context.release)

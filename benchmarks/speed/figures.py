@@ -3,7 +3,9 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from benchmarks.speed.timing import Estimate
+import numpy as np
+
+from benchmarks.speed.timing import Estimate, FrameTimes, in_ms, ratio
 from wlr_render.report.blocks import Cell, ReportTable
 
 
@@ -47,6 +49,17 @@ def ratio_figure(quantity: str, ours: str, compared_with: str, found: Estimate, 
     """Figure of a ratio of times, with the largest that is wanted."""
     goal, is_reached = ("", None) if at_most is None else (f"<= {at_most:g}", found.value <= at_most)
     return Figure(quantity, ours, compared_with, str(found), goal, is_reached)
+
+
+def frame_ratio_figures(
+    quantity: str, ours: FrameTimes, other: FrameTimes, name: str, at_most: float | None = None
+) -> list[Figure]:
+    """Compare two frames' times, as a program sees them and of the GPU's work; `name` is the other's."""
+    pairs = {quantity: (ours.seen, other.seen), f"{quantity}: GPU work": (ours.gpu, other.gpu)}
+    return [
+        ratio_figure(what, in_ms(np.median(one)), f"{in_ms(np.median(two))} ({name})", ratio(one, two), at_most)
+        for what, (one, two) in pairs.items()
+    ]
 
 
 def summary_table(figures: Iterable[Figure], notes: Sequence[str]) -> ReportTable:

@@ -1,20 +1,19 @@
 """Compare our warp with warps by a fixed map on the same picture: Monado's two schemes, and cv2.remap."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.speed.baselines_warp import image_maps_warp, mesh_warp, remap_warp, timewarp
-from benchmarks.speed.figures import Figure, Part, ratio_figure
+from benchmarks.speed.figures import Part, frame_ratio_figures
 from benchmarks.speed.frozen_map import IMAGE_MAPS, MESH, Scheme, frozen_map
 from benchmarks.speed.running import Running
-from benchmarks.speed.timing import Run, in_ms, ratio, times_ms
+from benchmarks.speed.timing import TIME_COLUMNS, TIMES_NOTE, GpuRun, frame_times, ratio
 from benchmarks.speed.workload import Workload
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.numerics.arrays import FloatArray
-from wlr_render.report.blocks import Cell, ReportTable
+from wlr_render.report.blocks import ReportTable
 from wlr_render.warp.ray_map import middle_axes
 
 OURS, WARP_GOAL = "ours", 0.9
@@ -29,41 +28,35 @@ def warps(work: Workload, context: str) -> Part:
         on.source.submit(camera)
         picture, source = on.source.read(camera.view).colour, on.compositor.compose(with_source=True).source()
         remap, three = remap_warp(picture, source), opened.enter_context(Running.of(work, context, channels=3))
-        runs: dict[str, Run] = {
+        runs = {
             OURS: on.warp_of_a_new_picture(),
             "ours, a ray map for each colour": three.warp_of_a_new_picture(),
-            "cv2.remap by a map of every pixel (CPU)": lambda _: remap(),
+            "cv2.remap by a map of every pixel (CPU)": GpuRun(lambda _: remap(), None),
         }
         if on.gl_context.backend == "egl":
             for scheme in (MESH, IMAGE_MAPS):
                 runs[f"Monado: {scheme.name}"] = opened.enter_context(_monado(on, scheme, picture, camera.view.camera))
-        times = dict(zip(runs, times_ms(*runs.values(), rounds=work.rounds).T, strict=True))
+        times = dict(zip(runs, frame_times(*runs.values(), rounds=work.rounds), strict=True))
         samples_per_axis = on.compositor.plan("right").samples_per_axis
     notes = (
         "Ours begins a frame with a new picture, composes it into a framebuffer of the host, follows every ray to its "
         f"depth, and takes up to {samples_per_axis**2} samples a pixel where the map minifies; the others look each "
-        "colour up once. Each time includes the wait for the end.",
+        "colour up once.",
         "Monado's schemes need EGL. What they get wrong is in the table on maps that are computed once.",
+        TIMES_NOTE,
     )
-    table = ReportTable("Warps of one picture", ("warp", "time", "ours / this"), warp_rows(times), notes)
-    name = f"Monado: {IMAGE_MAPS.name}"
-    return Part([warp_figure(times[OURS], times[name])] if name in times else [], [table])
-
-
-def warp_figure(ours: FloatArray, maps: FloatArray) -> Figure:
-    """Compare the times (rounds,) of our warp and of Monado's maps."""
-    compared_with = f"{in_ms(np.median(maps))} (Monado's three maps of {IMAGE_MAPS.points} x {IMAGE_MAPS.points})"
-    found = ratio(ours, maps)
-    return ratio_figure("warp that follows depth", in_ms(np.median(ours)), compared_with, found, WARP_GOAL)
-
-
-def warp_rows(times: Mapping[str, FloatArray]) -> list[list[Cell]]:
-    """Tabulate all times, (rounds,) by name, and the ratio of `OURS` to each."""
-    return [[name, in_ms(np.median(each)), str(ratio(times[OURS], each))] for name, each in times.items()]
+    rows = [[name, *each.cells(), str(ratio(times[OURS].seen, each.seen))] for name, each in times.items()]
+    table = ReportTable("Warps of one picture", ("warp", *TIME_COLUMNS, "ours / this, as seen"), rows, notes)
+    name, maps = f"Monado: {IMAGE_MAPS.name}", f"Monado's three maps of {IMAGE_MAPS.points} x {IMAGE_MAPS.points}"
+    if name not in times:
+        return Part(tables=[table])
+    return Part(
+        frame_ratio_figures("warp that follows depth", times[OURS], times[name], maps, WARP_GOAL), tables=[table]
+    )
 
 
 @contextmanager
-def _monado(on: Running, scheme: Scheme, picture: NDArray[np.uint8], camera: Pinhole) -> Iterator[Run]:
+def _monado(on: Running, scheme: Scheme, picture: NDArray[np.uint8], camera: Pinhole) -> Iterator[GpuRun]:
     """Open a scheme with the map for the eye box's centre, the same for all colours."""
     mappings = on.work.mappings
     shown = frozen_map(mappings, scheme, mappings.eye_box.centre, middle_axes(mappings))
@@ -73,11 +66,7 @@ def _monado(on: Running, scheme: Scheme, picture: NDArray[np.uint8], camera: Pin
     else:
         warp = image_maps_warp(picture, channel_uv, on.compositor.size_px, timewarp(camera, np.eye(3)))
 
-    def run(_: int) -> None:
-        warp.draw()
-        warp.finish()
-
     try:
-        yield run
+        yield GpuRun(lambda _: warp.draw(), lambda: warp.context)
     finally:
         warp.release()

@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.speed.figures import Figure, Part, ratio_figure
+from benchmarks.speed.figures import Figure, Part, frame_ratio_figures
 from benchmarks.speed.running import Running
-from benchmarks.speed.timing import in_ms, ratio, times_ms
+from benchmarks.speed.timing import frame_times
 from benchmarks.speed.workload import HEAD_POSE, Workload
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
@@ -39,19 +39,14 @@ def near_object(work: Workload, context: str) -> Part:
             corner = near_pixels(camera.view.camera, width_m)
             colour[corner], inverse_depth[corner] = 200, 1.0 / NEAR_M
             on.compositor.submit(colour, inverse_depth, stored=_INVERSE)
-            runs.append(on.finished(partial(on.compositor.compose, pose=moved)))
-        times = times_ms(*runs, rounds=work.rounds).T
-    nothing = f"{in_ms(np.median(times[0]))} (nothing near)"
+            runs.append(on.same(partial(on.compositor.compose, pose=moved)))
+        without, *times = frame_times(*runs, rounds=work.rounds)
+    moved_by = f"{NEAR_M:g} m away, head moved by {MOVED_M * 1e3:g} mm"
     return Part(
         [
-            ratio_figure(
-                f"warp with {name} {NEAR_M:g} m away, head moved by {MOVED_M * 1e3:g} mm",
-                in_ms(np.median(each)),
-                nothing,
-                ratio(each, times[0]),
-                NEAR_GOAL,
-            )
-            for name, each in zip(OBJECTS_M, times[1:], strict=True)
+            figure
+            for name, each in zip(OBJECTS_M, times, strict=True)
+            for figure in frame_ratio_figures(f"warp with {name} {moved_by}", each, without, "nothing near", NEAR_GOAL)
         ]
     )
 

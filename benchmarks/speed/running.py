@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scene_source import SceneSource
-from benchmarks.speed.timing import Run
+from benchmarks.speed.timing import GpuRun, Run
 from benchmarks.speed.workload import HEAD_POSE, Workload
 from wlr_render.geometry import transforms
 from wlr_render.gl import gl
@@ -85,11 +85,9 @@ class Running:
         """Draw the whole frame of a round; a second frame in the same round does not solve the field again."""
         for camera in self.begin(turn).values():
             self.source.submit(camera)
-        frame = self.compositor.compose()
-        self.compositor.finish()
-        return frame
+        return self.compositor.compose()
 
-    def warp_of_a_new_picture(self) -> Run:
+    def warp_of_a_new_picture(self) -> GpuRun:
         """Submit the picture of round 0 as a new one, for whose depth nothing is known yet; compose into a target."""
         size = self.compositor.size_px[0] * len(self.work.eyes), self.compositor.size_px[1]
         with self.gl_context.drawing():
@@ -101,19 +99,13 @@ class Running:
             for eye, image in images.items():
                 self.compositor.submit(replace(image), eye=eye)
             self.compositor.compose(target)
-            self.compositor.finish()
 
-        return run
+        return self.of_round(run)
 
-    def then_finished(self, job: Run) -> Run:
-        """Return a job that waits for its end."""
+    def of_round(self, job: Run) -> GpuRun:
+        """Return a job to be timed, which is given the number of the round."""
+        return GpuRun(job, self.gl_context.drawing)
 
-        def run(turn: int) -> None:
-            job(turn)
-            self.compositor.finish()
-
-        return run
-
-    def finished(self, job: Callable[[], object]) -> Run:
-        """Return a job that waits for its end and is the same in all rounds."""
-        return self.then_finished(lambda _: job())
+    def same(self, job: Callable[[], object]) -> GpuRun:
+        """Return a job to be timed, which is the same in all rounds."""
+        return self.of_round(lambda _: job())

@@ -1,13 +1,21 @@
-"""Times of alternating runs, and their ratios."""
+"""Times of alternating runs: of the GPU, of the CPU and as a program sees them; their ratios."""
 
+import ctypes
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from typing import TypeVar
 
+import moderngl
 import numpy as np
 
+from wlr_render.gl import gl
+from wlr_render.gl.native_contexts import CurrentContext
+from wlr_render.gl.programs import shader_source
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.report.blocks import cell_text
+from wlr_render.report.blocks import Cell, cell_text
 
 ROUNDS = 15
 """Rounds that count; one more warms up."""
@@ -17,8 +25,58 @@ GPU_ROUNDS = 150
 Run = Callable[[int], object]
 """Something to time; it is given the number of the round, from 0."""
 
+TIME_COLUMNS = "GPU work", "CPU", "as a program sees it"
+TIMES_NOTE = (
+    "GPU work: from the first command to the end of the last, by time stamps that the GPU writes; the commands wait "
+    "behind a pass of some milliseconds, so that the GPU never waits for the program. A software renderer stamps when "
+    "its threads are done, and they do wait for the program: there it is the program's time without its first and "
+    "last step. CPU: processor time of the calling thread until all is submitted. As a program sees it: until the GPU "
+    "is idle."
+)
+_PLUG_MS, _PLUG_PX = 5.0, 512
+"""The pass that keeps the GPU busy: shortest time, which is longer than the CPU takes to submit a frame; its side."""
+_PLUG = """
+#version 410
+uniform int rounds;
+out vec4 colour;
+void main() {
+    vec2 z = 0.001 * gl_FragCoord.xy;
+    for (int k = 0; k < rounds; ++k)
+        z = vec2(z.x * z.x - z.y * z.y, 2.0 * z.x * z.y) * 0.5 + 0.1 * sin(z.yx);
+    colour = vec4(z, 0.0, 1.0);
+}
+"""
+_TIMESTAMP, _QUERY_RESULT = 0x8E28, 0x8866
+
 # Standard deviations of a normal distribution from its median absolute deviation, and of a median from its samples'.
 _SIGMA_OF_MAD, _OF_MEDIAN = 1.4826, 1.2533
+
+
+@dataclass(frozen=True, eq=False)
+class GpuRun:
+    """A run that draws.
+
+    Attributes:
+        run: may return before the GPU has finished.
+        drawing: opens a block in which its OpenGL context is current; None for a run on the CPU alone.
+    """
+
+    run: Run
+    drawing: Callable[[], AbstractContextManager[moderngl.Context]] | None
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTimes:
+    """Milliseconds of a `GpuRun`, each (rounds,), see `TIMES_NOTE`; `gpu` is NaN for a run on the CPU alone."""
+
+    gpu: FloatArray
+    cpu: FloatArray
+    seen: FloatArray
+
+    def cells(self) -> list[Cell]:
+        """Return the medians for `TIME_COLUMNS`."""
+        medians = (float(np.median(each)) for each in (self.gpu, self.cpu, self.seen))
+        return [None if math.isnan(each) else in_ms(each) for each in medians]
 
 
 def times_ms(*runs: Run, rounds: int = ROUNDS) -> FloatArray:
@@ -26,13 +84,85 @@ def times_ms(*runs: Run, rounds: int = ROUNDS) -> FloatArray:
 
     The runs alternate, so that a busy machine slows all equally; the first round is dropped.
     """
-    times = np.empty((rounds + 1, len(runs)))
-    for turn in range(rounds + 1):
-        for number, each in enumerate(runs):
-            start = time.perf_counter()
-            each(turn)
-            times[turn, number] = time.perf_counter() - start
+    return _in_turns(_wall_s, runs, rounds)
+
+
+def frame_times(*runs: GpuRun, rounds: int = ROUNDS) -> list[FrameTimes]:
+    """Time runs that draw; they alternate, as in `times_ms`, first as a program sees them, then on the GPU."""
+    clocks: dict[moderngl.Context, _GpuClock] = {}
+
+    def gpu_s(each: GpuRun, turn: int) -> float:
+        if each.drawing is None:
+            return math.nan
+        with each.drawing() as context:
+            if context not in clocks:
+                clocks[context] = _GpuClock(context)
+            return clocks[context].seconds(lambda: each.run(turn))
+
+    seen, gpu = _in_turns(_cpu_and_seen_s, runs, rounds), _in_turns(gpu_s, runs, rounds)
+    return [FrameTimes(gpu[:, k], *seen[:, k].T) for k in range(len(runs))]
+
+
+_Each = TypeVar("_Each")
+
+
+def _in_turns(seconds: Callable[[_Each, int], object], runs: Sequence[_Each], rounds: int) -> FloatArray:
+    times = np.array([[seconds(each, turn) for each in runs] for turn in range(rounds + 1)], np.float64)
     return times[1:] * 1e3
+
+
+def _wall_s(run: Run, turn: int) -> float:
+    start = time.perf_counter()
+    run(turn)
+    return time.perf_counter() - start
+
+
+def _cpu_and_seen_s(each: GpuRun, turn: int) -> tuple[float, float]:
+    start, start_cpu = time.perf_counter(), time.thread_time()
+    each.run(turn)
+    cpu = time.thread_time() - start_cpu
+    if each.drawing is not None:
+        with each.drawing() as context:
+            context.finish()
+    return cpu, time.perf_counter() - start
+
+
+class _GpuClock:
+    """Time stamps of the OpenGL context that is current, behind a pass that keeps its GPU busy."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        name, pointer = ctypes.c_uint, ctypes.c_void_p
+        function = CurrentContext().function
+        self._context, self._names = context, (name * 2)()
+        function("glGenQueries", ctypes.c_int, pointer)(2, self._names)
+        self._flush, self._stamp = function("glFlush"), function("glQueryCounter", name, name)
+        self._result = function("glGetQueryObjectui64v", name, name, pointer)
+        program = context.program(vertex_shader=shader_source("full_screen.vert", {}), fragment_shader=_PLUG)
+        self._plug = context.vertex_array(program, [])
+        self._target = context.framebuffer([context.texture((_PLUG_PX, _PLUG_PX), 4)])
+        for rounds in (1 << k for k in range(24)):
+            gl.set_uniforms(program, rounds=rounds)
+            if self.seconds(self._draw_plug) > _PLUG_MS * 1e-3:
+                break
+
+    def _draw_plug(self) -> None:
+        self._target.use()
+        self._plug.render(vertices=3)
+
+    def seconds(self, job: Callable[[], object]) -> float:
+        """Return the seconds that the GPU works on a job."""
+        self._draw_plug()
+        # A software renderer takes a stamp when it is done with all commands that are flushed together.
+        self._flush()
+        self._stamp(self._names[0], _TIMESTAMP)
+        self._flush()
+        job()
+        self._stamp(self._names[1], _TIMESTAMP)
+        self._context.finish()
+        stamps_ns = (ctypes.c_uint64 * 2)()
+        for k, query in enumerate(self._names):
+            self._result(query, _QUERY_RESULT, ctypes.addressof(stamps_ns) + 8 * k)
+        return (stamps_ns[1] - stamps_ns[0]) * 1e-9
 
 
 def alternately(*runs: Run, rounds: int = ROUNDS) -> list[float]:

@@ -45,7 +45,6 @@ def colour_at(uv: FloatArray) -> FloatArray:
 
 def drawn_by(baseline: GlWarpBaseline) -> FloatArray:
     baseline.draw()
-    baseline.finish()
     try:
         return baseline.read()[..., :3].astype(float)
     finally:
