@@ -16,7 +16,7 @@ from wlr_render.exports.facts import facts
 from wlr_render.exports.format import Capabilities, Format, Loss
 from wlr_render.io.atomic_files import write_text
 from wlr_render.warp.grid import WarpGrid
-from wlr_render.warp.warp_mesh import mesh_grid, mesh_triangles
+from wlr_render.warp.mesh_grid import mesh_grid, mesh_triangles
 
 TOLERANCE_ARCMIN = 0.1
 """Largest interpolation error: a tenth of the error at another depth; a finer mesh costs an engine more than it

@@ -5,11 +5,9 @@ OpenGL.
 """
 
 import typing
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Eye
@@ -23,24 +21,14 @@ from wlr_render.warp.checks import (
     checked_size,
     checked_viewpoints,
 )
-from wlr_render.warp.choose_grid import TOLERANCE_ARCMIN, ray_error_arcmin
+from wlr_render.warp.choose_grid import TOLERANCE_ARCMIN
 from wlr_render.warp.eye_camera import EyeCamera
-from wlr_render.warp.grid import WarpGrid
+from wlr_render.warp.mesh_grid import mesh_error_arcmin, mesh_grid, mesh_plan, mesh_triangles
 from wlr_render.warp.raster_camera import EyePlan, RasterPlace
-from wlr_render.warp.ray_map import FilledRayMaps, RayMap, RayMapPlan, choose_plan, ray_map, solve_pixels
+from wlr_render.warp.ray_map import FilledRayMaps
 from wlr_render.warp.view import image_from_ray_map
 
-_COARSEST_CELLS = 8
-_JUDGED_CELLS = 24
-_JUDGED_VIEWPOINTS = np.array([[0, 0, 0], [1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]], dtype=np.float64)
-_NODES_TOLERANCE_PX = 0.0005  # small, so that the triangles limit the accuracy, not the nodes
-_TRIED_GRIDS = 8
-_AIM, _CLOSE = 0.85, 1.1
 _SEARCHED = 0.97  # share of the tolerance to reach: maps of frames differ a little from maps of the search
-# Vertices of the two triangles of a cell, as (column, row) steps from its upper left point, and where linear
-# interpolation errs most: at the middles of the sides, of which the diagonal is the longest, and within.
-_TRIANGLES = np.array([[[0, 0], [0, 1], [1, 0]], [[1, 0], [0, 1], [1, 1]]])
-_WEIGHTS = np.array([[0, 0.5, 0.5], [0.5, 0.5, 0], [0.5, 0, 0.5], [1 / 3, 1 / 3, 1 / 3]])
 
 
 class WarpMesh:
@@ -97,10 +85,10 @@ class WarpMesh:
         axes = self._plan.device_from_camera
         grids = [mesh_grid(mappings, axes, self.size_px, _SEARCHED * tolerance) for mappings in self._channels]
         grid = min(grids, key=lambda each: float(each.step_px.min()))
-        plans = [_plan(mappings, axes, grid) for mappings in self._channels]
+        plans = [mesh_plan(mappings, axes, grid) for mappings in self._channels]
         self._ray_maps = [FilledRayMaps(*each) for each in zip(self._channels, plans, strict=True)]
         self.bound_arcmin = max(
-            _error_arcmin(mappings, plan, filled.at)
+            mesh_error_arcmin(mappings, plan, filled.at)
             for mappings, plan, filled in zip(self._channels, plans, self._ray_maps, strict=True)
         )
         self.samples_per_axis = self._plan.samples_per_axis
@@ -156,58 +144,3 @@ class WarpMesh:
 
     def _checked(self, viewpoint: FloatArray) -> FloatArray:
         return checked_viewpoints(viewpoint, self._models)[self.eye]
-
-
-def mesh_triangles(grid: WarpGrid) -> NDArray[np.uint32]:
-    """Return the two triangles of each cell, (m, 3) indices of a grid's points, row by row; counter-clockwise."""
-    column, row = np.meshgrid(np.arange(grid.columns - 1), np.arange(grid.rows - 1))
-    corner = np.stack([column, row], axis=-1).reshape(-1, 1, 1, 2) + _TRIANGLES
-    return np.asarray((corner[..., 1] * grid.columns + corner[..., 0]).reshape(-1, 3), np.uint32)
-
-
-def _plan(mappings: Eye, axes: FloatArray, grid: WarpGrid) -> RayMapPlan:
-    return RayMapPlan.onto_grid(grid, _node_count(mappings), axes)
-
-
-def _node_count(mappings: Eye) -> int:
-    return choose_plan(mappings, _NODES_TOLERANCE_PX).node_count
-
-
-def mesh_grid(mappings: Eye, axes: FloatArray, size_px: tuple[int, int], tolerance_arcmin: float) -> WarpGrid:
-    """Return the coarsest grid of square cells whose triangles are within the tolerance; no finer than the picture."""
-    panel = mappings.display.panel
-    finest_px, coarsest_px = float(np.min(panel.size_px / size_px)), float(np.min(panel.size_px)) / _COARSEST_CELLS
-    nodes, cell_px = _node_count(mappings), coarsest_px
-    chosen: WarpGrid | None = None
-    for _ in range(_TRIED_GRIDS):
-        columns, rows = (np.ceil(panel.size_px / cell_px).astype(int) + 1).tolist()
-        grid = WarpGrid.edge_to_edge(panel, columns, rows)
-        plan = RayMapPlan.onto_grid(grid, nodes, axes)
-        error = _error_arcmin(mappings, plan, partial(ray_map, mappings, plan=plan))
-        chosen = grid if error <= tolerance_arcmin or chosen is None else chosen
-        # The error goes with the square of the cell's size.
-        aimed_px = float(np.clip(cell_px * np.sqrt(_AIM * tolerance_arcmin / error), finest_px, coarsest_px))
-        if aimed_px == cell_px or (error <= tolerance_arcmin and aimed_px < _CLOSE * cell_px):
-            return grid
-        cell_px = aimed_px
-    assert chosen is not None
-    return chosen
-
-
-def _error_arcmin(mappings: Eye, plan: RayMapPlan, ray_map_at: Callable[[FloatArray], RayMap]) -> float:
-    """Largest error of rays between the vertices, in cells all over the panel and viewpoints all over the eye box.
-
-    Against the exact solve, as `ray_error_arcmin`; infinite if no ray is found anywhere.
-    """
-    grid, axes = plan.warp_grid, plan.device_from_camera
-    columns, rows = (np.unique(np.linspace(0, count - 2, _JUDGED_CELLS).round()).astype(int) for count in grid.size)
-    vertex = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 1, 1, 2) + _TRIANGLES  # (cells, 2, 3, 2)
-    pixel = np.einsum("wk,ctkd->ctwd", _WEIGHTS, grid.first_px + grid.step_px * vertex)
-    worst = -np.inf
-    for unit in _JUDGED_VIEWPOINTS:
-        viewpoint = mappings.eye_box.at(unit)
-        at_vertices = np.moveaxis(ray_map_at(viewpoint).slope_offset, 0, -1)
-        linear = np.einsum("wk,ctkr->ctwr", _WEIGHTS, at_vertices[vertex[..., 1], vertex[..., 0]])
-        error = ray_error_arcmin(linear, solve_pixels(mappings, axes, pixel, viewpoint).slope_offset)
-        worst = max(worst, float(np.max(error, initial=-np.inf, where=np.isfinite(error))))
-    return worst if np.isfinite(worst) else np.inf
