@@ -461,7 +461,7 @@ def options_given_by(arguments: Sequence[str]) -> object:
 
 def test_options_reach_the_jobs() -> None:
     files = ["--head", "h.tum", "--eye-track", "e.txt"]
-    drawing = ["--method", "raytrace", "--supersample", "2", "--shadows", "--fps", "72", "--frames", "9", "--video"]
+    drawing = ["--method", "raytrace", "--supersample", "3", "--shadows", "--fps", "72", "--frames", "9", "--video"]
     assert options_given_by(["render", "l.json", "desk", "--eye", "both", *files, *drawing]) == RenderOptions(
         "l.json",
         "desk",
@@ -471,7 +471,7 @@ def test_options_reach_the_jobs() -> None:
         method="raytrace",
         frames_per_second=72.0,
         frame_limit=9,
-        supersample=2,
+        supersample=3,
         shadows=True,
         video=True,
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -18,6 +19,7 @@ from wlr_render.draw.painters import (
     TracedPainter,
     inverse_depth_at,
     position_of_source,
+    ray_maps_between_pixels,
     ray_maps_of,
 )
 from wlr_render.draw.raster_painter import WarpedPainter
@@ -332,6 +334,26 @@ def test_an_edge_is_supersampled_in_linear_light_and_geometry_stays_the_centres(
     # Nine samples, each black or white.
     np.testing.assert_allclose(9 * decode_srgb(mixed), np.rint(9 * decode_srgb(mixed)), atol=0.05)
     np.testing.assert_array_equal(fine.position, plain.position)
+
+
+def test_rays_are_added_where_they_matter(dispersive_headset: Sequence[Eye]) -> None:
+    """Against the means of as many exact rays in every pixel."""
+    scene, viewpoint = ball_before_wall(), dispersive_headset[0].eye_box.at(OFF_CENTRE)
+    renderer, steps = RayRenderer(scene), (np.arange(4) - 1.5) / 4
+    exact = []
+    for channel, mappings in enumerate(dispersive_headset):
+        plan = choose_plan(mappings)
+        moved = ray_maps_between_pixels(
+            mappings, plan, ray_map(mappings, viewpoint, plan), (np.array([u, v]) for u in steps for v in steps)
+        )
+        frames = [renderer.render_blocks(each.shape, partial(each.world_rays, HEAD_POSE)).colour for each in moved]
+        exact.append(np.mean([decode_srgb(frame[..., channel]) for frame in frames], axis=0))
+    wanted = encode_srgb(np.stack(exact, axis=-1).astype(np.float32)).astype(int)
+    one, many = (
+        TracedPainter(dispersive_headset, renderer, n).paint(viewpoint, HEAD_POSE).colour.astype(int) for n in (1, 4)
+    )
+    off = [float(np.sqrt(np.square(frame - wanted).mean())) for frame in (one, many)]
+    assert off[1] < 0.1 * off[0]
 
 
 @pytest.mark.parametrize("supersample", [1, 2])

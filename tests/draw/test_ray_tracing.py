@@ -1,13 +1,14 @@
 import numpy as np
 import pytest
 from gl_scenes import at, cube, lit, quad, unlit
+from numpy.typing import NDArray
 
 from wlr_render.draw import ray_tracing
 from wlr_render.draw.ray_tracing import RayRenderer
-from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
-from wlr_render.numerics.arrays import Float32Array
-from wlr_render.numerics.srgb import encode_srgb
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.numerics.srgb import decode_srgb, encode_srgb
 
 TEXTURE = np.random.default_rng(4).integers(0, 256, (8, 8, 3)).astype(np.uint8)
 SCENE = lit(
@@ -55,15 +56,51 @@ def test_rays_are_requested_row_by_row() -> None:
     np.testing.assert_array_equal(asked.colour, renderer.render_rays(origin, direction).colour)
 
 
-def test_supersampling_is_the_mean_in_linear_light() -> None:
+def test_pixels_that_differ_become_means_in_linear_light() -> None:
     white = quad((-9, -9), (0, 9), base_colour=np.ones(3, np.float32))
     renderer = RayRenderer(unlit((white, at(0, 0, -2)), background=(0.1, 0.2, 0.4)))
-    left, right = np.array([[-0.3, 0.0, -1.0]], np.float32), np.array([[0.3, 0.0, -1.0]], np.float32)
-    origin = np.zeros(3, np.float32)
-    samples = ((lambda rows, d=d: (origin, d)) for d in (left, right, right, right))
-    colour = renderer.render_supersampled((1, 1), samples)
+    left, right = np.array([-0.3, 0.0, -1.0], np.float32), np.array([0.3, 0.0, -1.0], np.float32)
+    asked: list[int] = []
+
+    def rays_within(pixel: NDArray[np.intp]) -> tuple[Float32Array, Float32Array]:
+        asked.extend(pixel)
+        return np.zeros(3, np.float32), np.tile([left, right, right, right], (len(pixel), 1))
+
+    colour = np.tile(encode_srgb(np.array([0.1, 0.2, 0.4], np.float32)), (3, 6, 1))
+    colour[:, :2] = 255
+    renderer.refine(colour, 4, rays_within)
+    # Means differ from their neighbours in turn, so that in the end no pixel is as it was; none is drawn twice.
+    assert sorted(asked) == list(range(18))
     mean = 0.25 * np.ones(3) + 0.75 * np.array([0.1, 0.2, 0.4])
-    np.testing.assert_array_equal(colour[0, 0], encode_srgb(mean.astype(np.float32)))
-    assert (renderer.render_supersampled((1, 1), [lambda rows: (origin, left)]) == 255).all()
-    with pytest.raises(BadInputError, match="at least one"):
-        renderer.render_supersampled((1, 1), [])
+    assert (colour == encode_srgb(mean.astype(np.float32))).all()
+
+
+def test_pixels_like_their_neighbours_keep_their_single_ray() -> None:
+    colour = np.full((3, 4, 3), 100, np.uint8)
+    colour[1:, 2:] += 8
+    before = colour.copy()
+    RayRenderer(SCENE).refine(colour, 4, lambda pixel: pytest.fail(f"{pixel} are like their neighbours."))
+    np.testing.assert_array_equal(colour, before)
+
+
+def test_a_thin_line_is_whole_where_single_rays_miss_it() -> None:
+    # A tenth of a pixel wide, and one column to the right after sixty rows.
+    camera, count = Pinhole(40, 120, np.array([-0.2, -0.6]), np.array([0.2, 0.6])), 16
+    turn = transforms.rotation_about("z", np.arctan(1 / 60))
+    renderer = RayRenderer(unlit((quad((-0.001, -9), (0.001, 9)), at(0.013, 0, -2, turn))))
+    steps = (np.arange(count) + 0.5) / count - 0.5
+    offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+
+    def towards(pixel: FloatArray) -> Float32Array:
+        tangents = camera.tangents_of_pixel(pixel).reshape(-1, 2)
+        return np.concatenate([tangents, -np.ones((len(tangents), 1))], axis=1).astype(np.float32)
+
+    def rays_within(pixel: NDArray[np.intp]) -> tuple[Float32Array, Float32Array]:
+        centre = np.stack([pixel % 40, pixel // 40], axis=-1) + 0.5
+        return np.zeros(3, np.float32), towards(np.asarray(centre[:, None] + offsets, np.float64))
+
+    centres = np.asarray(np.moveaxis(np.indices((120, 40))[::-1], 0, -1) + 0.5, np.float64)
+    colour = renderer.render_rays(np.zeros(3), towards(centres).reshape(120, 40, 3)).colour
+    assert 0 < (colour.max(axis=(1, 2)) > 0).sum() < 20
+    renderer.refine(colour, count**2, rays_within)
+    np.testing.assert_allclose(decode_srgb(colour[..., 1]).sum(axis=1), 0.1, atol=0.04)

@@ -573,7 +573,7 @@ def test_a_second_job_in_the_same_folder_is_refused_at_once(options: RenderOptio
         ({"method": "raytrace", "materials": "gltf"}, "--materials is used with --method raster only"),
         ({"method": "raytrace", "resolution": 2.0}, "--resolution is used with --method raster only"),
         ({"method": "raytrace", "backend": "cpu"}, "--backend is used with --method raster only"),
-        ({"supersample": 2}, "--supersample is used with --method raytrace only"),
+        ({"supersample": 3}, "--supersample is used with --method raytrace only"),
         ({"shadows": True}, "--shadows is used with --method raytrace only"),
         ({"samples": 2}, "--samples is used with --method pathtrace only"),
         ({"bounces": 0}, "--bounces is used with --method pathtrace only"),

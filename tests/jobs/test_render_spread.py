@@ -121,7 +121,7 @@ def test_a_worker_keeps_what_it_has_opened_for_the_frames_of_one_job(
     draw_block(block)
     draw_block(block)
     assert len(opened) == 1
-    draw_block(replace(block, options=replace(block.options, supersample=2)))
+    draw_block(replace(block, options=replace(block.options, supersample=3)))
     draw_block(block)
     assert len(opened) == 3
     elsewhere = replace(block.options, head=None, eye_track=None, out=moving.out.with_name("elsewhere"))

@@ -1,7 +1,7 @@
 """Panel images of one eye for a viewpoint and a head pose, by ray tracing; `raster_painter.py` rasterises."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Protocol
@@ -157,6 +157,22 @@ def ray_maps_between_pixels(
         yield ray_map(mappings, rays.viewpoint_in_device, moved, rays.warm_start)
 
 
+def rays_within_pixels(rays: RayMap, pixel: NDArray[np.intp], offsets_px: FloatArray) -> RayMap:
+    """Ray map (n, count) of points at offsets (count, 2) from the centres of pixels (n,), counted row by row.
+
+    Linear between neighbouring pixels; beside a pixel without a ray all are those of the centre.
+    """
+    (height, width), flat = rays.shape, rays.slope_offset.reshape(4, -1)
+    row, column = np.divmod(pixel, width)
+    moved = flat[:, pixel, None]
+    for place, size, step, along in ((column, width, 1, 0), (row, height, width, 1)):
+        before, after = np.minimum(place, 1), np.minimum(size - 1 - place, 1)
+        change = flat[:, pixel + step * after] - flat[:, pixel - step * before]
+        change /= np.maximum(before + after, 1).astype(np.float32)
+        moved = moved + np.nan_to_num(change)[..., None] * offsets_px[:, along].astype(np.float32)
+    return replace(rays, slope_offset=moved, status=rays.status[row, column, None])
+
+
 class TracedPainter:
     """Every display pixel's world ray is a primary ray."""
 
@@ -172,7 +188,8 @@ class TracedPainter:
         Args:
             mappings: any pair, or one each for red, green and blue.
             renderer: of the scene.
-            supersample: rays per pixel along each axis; geometry is always sampled at the pixel centre.
+            supersample: rays per pixel along each axis, where a pixel differs from its neighbours; elsewhere there is
+                one. Geometry is always sampled at the pixel centre.
             shadows: whether surfaces cast shadows.
         """
         self._channels = channels_of(mappings)
@@ -180,7 +197,7 @@ class TracedPainter:
         self._shadows = shadows
         self._plans = [choose_plan(each) for each in self._channels]
         steps = (np.arange(supersample) + 0.5) / supersample - 0.5
-        self._offsets = [np.array([u, v]) for v in steps for u in steps] if supersample > 1 else []
+        self._offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
 
     def paint(
         self,
@@ -188,22 +205,29 @@ class TracedPainter:
         world_from_device: FloatArray,
         with_geometry: bool = False,
     ) -> Frame:
-        """Return a ray-traced frame; see `Painter`."""
+        """Return a ray-traced frame; rays beyond one a pixel are traced when its colour is first asked for."""
         ray_maps = ray_maps_of(self._channels, self._plans, viewpoint)
         colours, traced = [], []
-        for mappings, plan, rays in zip(self._channels, self._plans, ray_maps, strict=True):
-            if with_geometry or not self._offsets:
-                rays_of = partial(rays.world_rays, world_from_device)
-                image = self._renderer.render_blocks(rays.shape, rays_of, with_geometry, self._shadows)
-                colour = image.colour
-                if image.position is not None:
-                    traced.append(image.position)
-            if self._offsets:
-                samples = ray_maps_between_pixels(mappings, plan, rays, self._offsets)
-                sampled = (partial(each.world_rays, world_from_device) for each in samples)
-                colour = self._renderer.render_supersampled(rays.shape, sampled, self._shadows)
-            colours.append(colour)
-        return Frame(partial(by_colour, colours), lambda: ray_maps, traced=tuple(traced))
+        for rays in ray_maps:
+            rays_of = partial(rays.world_rays, world_from_device)
+            image = self._renderer.render_blocks(rays.shape, rays_of, with_geometry, self._shadows)
+            if image.position is not None:
+                traced.append(image.position)
+            colours.append(image.colour)
+
+        def read_colour() -> NDArray[np.uint8]:
+            for colour, rays in zip(colours, ray_maps, strict=True):
+                self._refine(colour, rays, world_from_device)
+            return by_colour(colours)
+
+        return Frame(read_colour, lambda: ray_maps, traced=tuple(traced))
+
+    def _refine(self, colour: NDArray[np.uint8], rays: RayMap, world_from_device: FloatArray) -> None:
+        def rays_within(pixel: NDArray[np.intp]) -> tuple[Float32Array, Float32Array]:
+            return rays_within_pixels(rays, pixel, self._offsets).world_rays(world_from_device)
+
+        if len(self._offsets) > 1:
+            self._renderer.refine(colour, len(self._offsets), rays_within, self._shadows)
 
 
 def with_inverse_depth(intermediate: GeometryImage, source: Float32Array) -> Float32Array:

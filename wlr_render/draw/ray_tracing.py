@@ -1,9 +1,10 @@
 """Whole frames by ray tracing, and an eyeball camera's picture through the optics."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -11,7 +12,6 @@ from wlr_render.draw.ray_intersections import Intersections, SceneTracer
 from wlr_render.draw.sampling import remap
 from wlr_render.draw.shading import Shaded, Surfaces, shade
 from wlr_render.draw.thread_pool import for_blocks
-from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, rays
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Eye
@@ -26,7 +26,13 @@ RaysOfRows = Callable[[slice], tuple[Float32Array, Float32Array]]
 n = rows * width, row by row, and the origin (n, 3) or (3,). Rays with a NaN see the background. Called from several
 threads at once."""
 
+RaysWithinPixels = Callable[[NDArray[np.intp]], tuple[Float32Array, Float32Array]]
+"""Pixels (n,), counted row by row -> origins and directions of some rays within each, both (n * count, 3) float32
+pixel by pixel, otherwise as `RaysOfRows`."""
+
 _RAYS_PER_BLOCK = 1 << 15
+_DIFFERENCE = 8
+"""Codes by which a pixel and its neighbour must differ in some colour to be drawn with several rays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,41 +101,34 @@ class RayRenderer:
         height, width = direction.shape[:2]
         return self.render_blocks((height, width), rays_of_rows, with_position, shadows)
 
-    def render_supersampled(
-        self, shape: tuple[int, int], samples: Iterable[RaysOfRows], shadows: bool = False
-    ) -> NDArray[np.uint8]:
-        """Return the mean of several frames in linear light, (height, width, 3) uint8 sRGB.
+    def refine(
+        self, colour: NDArray[np.uint8], count: int, rays_within: RaysWithinPixels, shadows: bool = False
+    ) -> None:
+        """Replace the pixels of a frame that differ from a neighbour by means in linear light, in place.
+
+        Pixels beside those that it replaces are compared again, so that a thin line is followed where single rays miss
+        it.
 
         Args:
-            shape: (height, width).
-            samples: the rays of each frame, displaced within the pixel; taken one after the other, so that a
-                generator need hold only one frame's rays. At least one.
+            colour: (height, width, 3) uint8 sRGB, one ray a pixel.
+            count: rays per pixel in place of one.
+            rays_within: see `RaysWithinPixels`.
             shadows: whether surfaces cast shadows.
         """
-        total = np.zeros((*shape, 3), np.float32)
-        count = 0
-        for rays_of_rows in samples:
-            self._accumulate(total, rays_of_rows, shadows)
-            count += 1
-        if count == 0:
-            raise BadInputError("A supersampled frame needs at least one set of rays; none was given.")
-        code = np.empty(total.shape, np.uint8)
+        flat, is_mean = colour.reshape(-1, 3), np.zeros(colour.shape[:2], np.bool_)
+        while (chosen := np.flatnonzero(_differs_from_neighbour(colour) & ~is_mean)).size:
+            means = np.empty((chosen.size, 3), np.uint8)
 
-        def encode(rows: slice) -> None:
-            code[rows] = encode_srgb(total[rows] / np.float32(count))
+            def render(part: slice, chosen: NDArray[np.intp] = chosen, means: NDArray[np.uint8] = means) -> None:
+                hits, shaded = self._trace(rays_within(chosen[part]), shadows)
+                # Clip before the mean: the display clips the light of each ray.
+                light = np.clip(shaded.colour, np.float32(0), np.float32(1))
+                light = _scattered(light, shaded.index, len(hits.distance), self.scene.background)
+                means[part] = encode_srgb(np.einsum("nkc->nc", light.reshape(-1, count, 3)) / np.float32(count))
 
-        for_blocks(encode, shape[0], _rows_per_block(shape))
-        return code
-
-    def _accumulate(self, total: Float32Array, rays_of_rows: RaysOfRows, shadows: bool) -> None:
-        def add(rows: slice) -> None:
-            hits, shaded = self._trace(rays_of_rows(rows), shadows)
-            # Clip before the mean: the display clips the light of each sample.
-            colour = np.clip(shaded.colour, np.float32(0), np.float32(1))
-            flat = _flat_rows(total, rows)
-            flat += _scattered(colour, shaded.index, len(hits.distance), self.scene.background)
-
-        for_blocks(add, len(total), _rows_per_block(total.shape))
+            for_blocks(render, chosen.size, max(1, _RAYS_PER_BLOCK // count))
+            flat[chosen] = means
+            is_mean.flat[chosen] = True
 
     def _trace(self, rays: tuple[Float32Array, Float32Array], shadows: bool) -> tuple[Intersections, Shaded]:
         origin, direction = rays
@@ -137,6 +136,14 @@ class RayRenderer:
         hits = self.tracer.intersect(origin, direction)
         shadow_tracer = self.tracer if shadows else None
         return hits, shade(self.scene, self.surfaces, hits, origin, direction, shadow_tracer)
+
+
+def _differs_from_neighbour(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return which pixels differ from one of their four neighbours by more than `_DIFFERENCE`: (height, width)."""
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    span = cv2.dilate(colour, cross) - cv2.erode(colour, cross)
+    red, green, blue = np.moveaxis(span, -1, 0)
+    return np.asarray(np.maximum(np.maximum(red, green), blue) > _DIFFERENCE)
 
 
 def _rows_per_block(shape: tuple[int, ...]) -> int:

@@ -34,7 +34,7 @@ def render(
     *,
     method: FrameMethod = "raytrace",
     shadows: bool = True,
-    supersample: int = 1,
+    supersample: int = 2,
     with_geometry: bool = False,
 ) -> Frame:
     """Draw the image that an eye's panel must show so that a scene appears fixed in the world.
@@ -49,7 +49,8 @@ def render(
         method: "raytrace" follows the world ray of every panel pixel. "raster" draws an intermediate image with OpenGL
             and warps it; without OpenGL the frame is ray traced.
         shadows: whether to draw shadows (ray-traced frames only).
-        supersample: rays per pixel along each axis (ray-traced frames only).
+        supersample: rays per pixel along each axis where a pixel differs from its neighbours by more than 8 codes;
+            elsewhere one (ray-traced frames only).
         with_geometry: also give the world point of each pixel, `Frame.position`, and of rasterised frames the warp map.
 
     Returns:

@@ -61,6 +61,7 @@ from wlr_render.jobs.options import (
     folder_of_eye,
     seed_of,
 )
+from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.mappings import Eye
 from wlr_render.models.see_through_model import undeviated
 from wlr_render.numerics.arrays import FloatArray
@@ -83,6 +84,8 @@ METHODS = ("naive", "static", "raster + warp", "ray traced")
 CAMERA_POSITIONS = 49
 HEAD_POSE = np.eye(4)
 CAPTION = "The real object and, in green, its virtual twin by each method."
+_PICTURED = 1
+"""Viewpoint of the picture, off the centre of the eye box; of later ones only the geometry is needed."""
 _GRID = (48, 54)
 """Pixels of each frame, across and down, at which the misalignment is taken."""
 
@@ -153,7 +156,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
                 blank.append(f"a frame of the {eye} eye")
             frames += seen[0].shown.values()
             own = output_folder(folder_of_eye(folder, eye, options.eye))
-            files += _save_views(own, device.name, truth, renderer, seen[1])
+            files += _save_views(own, device.name, truth, renderer, seen[_PICTURED])
             errors = {method: summary(each) for method, each in _misalignments(seen).items()}
             verdicts.append(_verdict(errors, f"{scene.name} on {device.name}, {eye} eye"))
             blocks += [
@@ -209,10 +212,13 @@ def _painters(
     static = calibrate(captures, "static").mappings
     flat = fit_display(captures.both[0], "static", 1).mapping
     naive = Eye("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
-    painters: dict[str, Painter] = {"naive": TracedPainter(naive, renderer), "static": TracedPainter(static, renderer)}
+    eyes = {"naive": naive, "static": static, "ray traced": planar}
+    painters: dict[str, Painter] = {
+        method: TracedPainter(mappings, renderer, RenderOptions.supersample) for method, mappings in eyes.items()
+    }
     if raster is not None:
-        painters["raster + warp"] = WarpedPainter(planar, raster)
-    return fit, painters | {"ray traced": TracedPainter(planar, renderer)}
+        painters["raster + warp"] = WarpedPainter(planar, raster, RenderOptions.resolution)
+    return fit, {method: painters[method] for method in METHODS if method in painters}
 
 
 def _planar_of(methods: Collection[str]) -> str:
@@ -235,11 +241,12 @@ def _views(truth: Eye, fit: Calibration, painters: dict[str, Painter], places: F
     # The error of raster frames was measured with the warp grid's, whose bound would count it twice.
     drawing = Drawing(raster_arcmin=BudgetOptions.raster_arcmin if planar == METHODS[2] else 0.0)
     sizes = ErrorSizes(drawing=drawing, truncation=Truncation.from_report(fit.model().report))
-    for viewpoint in places:
+    for index, viewpoint in enumerate(places):
         view = _View(viewpoint, {}, {}, np.full(pixel.shape[:2], np.nan))
         for method, painter in painters.items():
             frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
-            view.shown[method] = frame.colour
+            if index <= _PICTURED:
+                view.shown[method] = frame.colour
             point = _shown_points(frame, pixel)
             kept = np.isfinite(point[..., 0])
             misalignment = np.full(kept.shape, np.nan)

@@ -79,10 +79,13 @@ class RenderOptions(SpreadOptions):
     ] = "raster"
     supersample: Annotated[
         int,
-        described("Rays per pixel and axis (raytrace only).", group=_DRAWING),
+        described(
+            "Rays per pixel and axis where a pixel differs from its neighbours; elsewhere one (raytrace only).",
+            group=_DRAWING,
+        ),
         Range(1, 12),
         OnlyWith("method", ("raytrace",)),
-    ] = 1
+    ] = 2
     shadows: Annotated[
         bool,
         described("Draw shadows (raytrace only).", flag=True, group=_DRAWING),
