@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from cpu_raster import raster_on_cpu
 from gl_scenes import OFF_CENTRE, at, cube, lit, quad, view
+from hardware import FILTER_WEIGHT, allowed, codes_of
 
 from wlr_render.draw.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
 from wlr_render.gl import gl
 from wlr_render.gl.context import GlContext
+from wlr_render.numerics.srgb import decode_srgb
 from wlr_render.scene.scene import Scene
 
 TEXTURE = np.random.default_rng(2).integers(0, 256, (16, 16, 3)).astype(np.uint8)
@@ -43,9 +45,12 @@ def test_each_platform_draws_what_rays_meet(scene: Scene, backend: str) -> None:
     assert raster.backend == backend
     with raster.context:
         drawn, traced = raster.draw(view(OFF_CENTRE)), raster_on_cpu(scene, view(OFF_CENTRE))
-    difference = np.abs(drawn.colour.astype(int) - traced.colour).max(axis=-1)
-    # The texture unit mixes texels with 8-bit weights; a silhouette may fall on either side of a pixel's centre.
-    assert (difference > 3).mean() < 0.005
+        # Texels of all colours are mixed along two axes.
+        mixed = codes_of(decode_srgb(traced.colour).astype(float), 2 * FILTER_WEIGHT)
+        most = allowed(raster.context, 3.0, mixed)
+    difference = np.abs(drawn.colour.astype(int) - traced.colour)
+    # A silhouette may fall on either side of a pixel's centre.
+    assert (difference > most).any(axis=-1).mean() < 0.005
     np.testing.assert_allclose(np.median(drawn.inverse_depth / traced.inverse_depth), 1, 1e-5)
 
 

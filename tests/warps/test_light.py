@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from gl_caller import open_other
 from gl_scenes import at
+from hardware import HALF_FLOAT, allowed
 from numpy import floating, number
 from numpy.typing import ArrayLike, NDArray
 from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
@@ -168,7 +169,9 @@ def test_codes_of_every_encoding_give_the_light(
     for encoding, codes in cases:
         made = compositor(flat_image_headset, panel=PanelLight(encoding, bits=16))
         pixels = shown(made, flat_image_headset, grey(light, np.float32), encoding="linear")[INSIDE][..., :3]
-        np.testing.assert_allclose(pixels, np.broadcast_to(codes, pixels.shape), atol=2**-11 + 1e-4)
+        # Light is stored in half floats, which a texture filter may round down; codes grow no faster than light.
+        of_filter = allowed(made.context, 0.0, 2 * HALF_FLOAT)
+        np.testing.assert_allclose(pixels, np.broadcast_to(codes, pixels.shape), of_filter, 2**-11 + 1e-4)
 
 
 def test_linear_half_floats_keep_more_than_white(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from fitted_eyes import fitted_terms
+from hardware import FLOAT, allowed
 
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.gl import gl
@@ -74,7 +75,9 @@ def test_tangents_and_slopes_in_float32_are_the_polynomials(gl_context: GlContex
     value, jacobian = polynomial.with_jacobian(inputs, axes=(2, 3))
     worst_arcmin = np.abs(answer[:, :2] - value).max() / ARCMIN
     print(f"{len(orders)} terms: worst error {worst_arcmin:.5f} arcmin of tangents up to {np.abs(value).max():.2f}")
-    assert worst_arcmin < 0.003
+    # Two roundings of the value for each degree of each variable, where a compiler orders the sums as it likes.
+    rounded = 2 * float(orders.max(axis=0).sum()) * FLOAT * float(np.abs(value).max())
+    assert worst_arcmin < allowed(gl_context, 0.003, rounded / ARCMIN)
     np.testing.assert_allclose(columns.reshape(-1, 2, 2).swapaxes(1, 2), jacobian, atol=2e-5 * np.abs(jacobian).max())
 
 

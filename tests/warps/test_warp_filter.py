@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hardware import SRGB_DECODE, allowed
 from warping import warped
 
 from wlr_render.geometry.pinhole import Pinhole
@@ -90,4 +91,5 @@ def test_more_samples_do_not_change_linear_pictures_or_holes(gl_context: GlConte
     one, three = (warped(gl_context, picture_of(ramp), CAMERA, [slope_offset], samples_per_axis=n) for n in (1, 3))
     np.testing.assert_array_equal(one.status, three.status)
     difference = np.abs(one.colour.astype(int) - three.colour)
-    assert difference[2:-2, 2:-2].max() <= 1
+    # Either mean has its own errors of decoded texels; neighbours differ by less than a code.
+    assert difference[2:-2, 2:-2].max() <= allowed(gl_context, 1, 2 * SRGB_DECODE)
