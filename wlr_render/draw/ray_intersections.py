@@ -4,7 +4,8 @@ World frame. The tree is built once per scene with one geometry per instance, so
 works in float32.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,12 +42,15 @@ class Intersections:
 
     def reshaped(self, shape: tuple[int, ...]) -> "Intersections":
         """Return views of another shape."""
-        return Intersections(*(getattr(self, field.name).reshape(shape) for field in fields(self)))
+        return Intersections(*(each.reshape(shape) for each in self._arrays()))
 
     def fill(self, where: slice | NDArray[np.intp], hits: "Intersections") -> None:
         """Write `hits` into some places."""
-        for field in fields(self):
-            getattr(self, field.name)[where] = getattr(hits, field.name)
+        for mine, theirs in zip(self._arrays(), hits._arrays(), strict=True):
+            mine[where] = theirs
+
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        return self.distance, self.instance, self.triangle, self.barycentric_u, self.barycentric_v
 
 
 class SceneTracer:

@@ -30,7 +30,7 @@ RaysWithinPixels = Callable[[NDArray[np.intp]], tuple[Float32Array, Float32Array
 """Pixels (n,), counted row by row -> origins and directions of some rays within each, both (n * count, 3) float32
 pixel by pixel, otherwise as `RaysOfRows`."""
 
-_RAYS_PER_BLOCK = 1 << 15
+_RAYS_PER_BLOCK = 1 << 16
 _DIFFERENCE = 8
 """Codes by which a pixel and its neighbour must differ in some colour to be drawn with several rays."""
 
@@ -163,8 +163,9 @@ def _scattered(
     if len(index) == count:
         return components.T
     result = np.empty((count, 3), components.dtype)
-    result[:] = background
-    result[index] = components.T
+    for column, component, value in zip(result.T, components, background, strict=True):
+        column[:] = value
+        column[index] = component  # a fifth of the time of an assignment of rows
     return result
 
 

@@ -98,7 +98,9 @@ class Surfaces:
             if len(here) == len(texture):
                 albedo *= _texels(self.textures[number], uv).T
             else:
-                albedo[:, here] *= _texels(self.textures[number], uv[:, here]).T
+                texels = _texels(self.textures[number], uv.take(here, axis=1))
+                for row, factor in zip(albedo, texels.T, strict=True):  # NumPy picks from rows faster than columns
+                    row[here] = row.take(here) * factor
 
 
 def _texels(wrapped: Float32Array, uv: Float32Array) -> Float32Array:
@@ -217,6 +219,9 @@ def shade(
         origin, direction: (n, 3) float32 world frame.
         shadow_tracer: of the same scene, if surfaces shall cast shadows.
     """
+    if (hits.instance < 0).all():  # spares threads that share Python's lock a hundred calls for nothing
+        nothing = np.empty((3, 0), np.float32)
+        return Shaded(np.empty(0, np.intp), nothing, nothing, nothing)
     met = meet_surfaces(surfaces, hits, origin, direction)
     position, normal = met.position, met.normal
     irradiance = np.empty_like(normal)
