@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+import moderngl
 import numpy as np
 import pytest
 from gl_scenes import at
@@ -52,6 +53,25 @@ def exact_places(model: Eye, pose: FloatArray, world_from_quad: FloatArray) -> F
     start, direction = transforms.apply(quad_from_world, start), direction @ quad_from_world[:3, :3].T
     met = start - start[..., 2:] / direction[..., 2:] * direction
     return np.stack([0.5 + met[..., 0] / SIZE_M[0], 0.5 - met[..., 1] / SIZE_M[1]], axis=-1)
+
+
+def test_an_overlay_takes_no_memory_for_a_depth(
+    compositor: Callable[..., Any], flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, formats, make = compositor(flat_image_headset), [], moderngl.Context.texture
+    picture = np.full((30, 50, 4), 99, np.uint8)
+
+    def counted(context: moderngl.Context, size: tuple[int, int], components: int, *args: Any, **more: Any) -> Any:
+        formats.append((size, components))
+        return make(context, size, components, *args, **more)
+
+    with made.context.drawing() as ctx:
+        texture = ctx.texture((50, 30), 4, picture)
+    monkeypatch.setattr(moderngl.Context, "texture", counted)
+    for each in (picture, texture):
+        made.submit_overlay(each, device_from_quad=at(0, 0, -1))
+    assert ((50, 30), 4) in formats
+    assert ((50, 30), 1) not in formats
 
 
 @pytest.mark.slow

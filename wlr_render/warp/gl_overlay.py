@@ -7,13 +7,12 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.gl import gl
 from wlr_render.gl.mips import MipLevels
 from wlr_render.io.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.picture_import import PictureImport, is_texture
-from wlr_render.warp.stored_picture import METRES, Rows, StoredColour
+from wlr_render.warp.stored_picture import Rows, StoredColour
 from wlr_render.warp.view import View
 
 _NEAREST_M = 1e-3
@@ -76,10 +75,10 @@ class OverlayImport:
         self._context, self._import, self._levels = context, PictureImport(context), MipLevels(context)
 
     def take(self, picture: Any, quad: Quad, stored_colour: StoredColour, rows: Rows | None) -> Overlay:
-        """Return a picture as an array, or as a texture of any kind that `PictureImport.from_textures` takes.
+        """Return a picture as an array, or as a texture of any kind that `PictureImport.colour_alone` takes.
 
         Raises:
-            BadInputError: another type, or as `PictureImport.from_arrays` and `from_textures`.
+            BadInputError: another type, or as `PictureImport.colour_alone`.
         """
         is_array = isinstance(picture, np.ndarray)
         if not is_array and not is_texture(picture):
@@ -87,17 +86,13 @@ class OverlayImport:
                 f"an overlay cannot be taken from a {type(picture).__name__}; give an array (height, width, 3 or 4), "
                 "or a texture (ModernGL's, its OpenGL name, or TextureLayer)."
             )
-        width, height = picture.shape[1::-1] if is_array else self._import.size_of(picture)
         largest_px = self._context.largest_side_px
-        if is_array and (picture.ndim != 3 or not (0 < width <= largest_px and 0 < height <= largest_px)):
+        if is_array and (picture.ndim != 3 or not all(0 < side <= largest_px for side in picture.shape[:2])):
             raise BadInputError(
                 f"the overlay has the shape {picture.shape}; give (height, width, 3 or 4), with sides of "
                 f"{min(largest_px, LIMITS.picture_side)} at most."
             )
-        camera, take = Pinhole(width, height, -np.ones(2), np.ones(2)), self._import
-        usual = Rows.TOP_FIRST if is_array else Rows.BOTTOM_FIRST
-        take_any = take.from_arrays if is_array else take.from_textures
-        image = take_any(camera, picture, None, METRES, rows or usual, stored_colour)
+        texture = self._import.colour_alone(picture, stored_colour, rows)
         with self._context.drawing():
-            self._levels.fill(image.colour)
-        return Overlay(image.colour, quad)
+            self._levels.fill(texture)
+        return Overlay(texture, quad)

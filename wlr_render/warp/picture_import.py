@@ -1,5 +1,7 @@
 """Import of pictures that other programs rendered, as the GPU images that the warp reads."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,11 +16,14 @@ from wlr_render.warp.picture_copy import PictureCopy
 from wlr_render.warp.stored_picture import (
     CODES,
     COLOUR_TYPES,
+    METRES,
     DepthKind,
+    Encoding,
     Rows,
     StoredColour,
     StoredDepth,
     check_arrays,
+    check_colour_array,
     check_depth_format,
 )
 
@@ -66,9 +71,8 @@ class PictureImport:
             stored_colour = StoredColour(colour.encoding, alpha=colour.has_alpha)
             stored = StoredDepth(DepthKind.INVERSE)
             with self._context.drawing():
-                return self._take(
-                    camera, colour.colour, colour.inverse_depth, stored, Rows.TOP_FIRST, stored_colour, wider
-                )
+                given = _Given((colour.colour, colour.inverse_depth))
+                return self._take(camera, given, stored, Rows.TOP_FIRST, stored_colour, wider)
         if isinstance(colour, np.ndarray) and (isinstance(depth, np.ndarray) or (wider and not has_depth)):
             return self.from_arrays(camera, colour, depth, stored, rows or Rows.TOP_FIRST, stored_colour, wider)
         upwards = rows or Rows.BOTTOM_FIRST
@@ -97,15 +101,18 @@ class PictureImport:
         Raises:
             BadInputError: as `stored_picture.check_arrays`.
         """
-        size = camera.width_px, camera.height_px
-        check_arrays(colour, depth, stored, size, stored_colour)
+        check_arrays(colour, depth, stored, camera.size_px, stored_colour)
         with self._context.drawing():
-            kind = colour.shape[2], COLOUR_TYPES[str(colour.dtype)]
-            texture, depths = self._targets.get(f"{kind} uploaded", size, kind, (1, "f4")).textures
-            texture.write(np.ascontiguousarray(colour), alignment=1)
-            if depth is not None:
-                depths.write(np.ascontiguousarray(depth), alignment=1)
-            return self._take(camera, texture, None if depth is None else depths, stored, rows, stored_colour, wider)
+            return self._take(camera, self._uploaded(colour, depth), stored, rows, stored_colour, wider)
+
+    def _uploaded(self, colour: NDArray[Any], depth: NDArray[np.float32] | None) -> "_Given":
+        height, width, components = colour.shape
+        kind = components, COLOUR_TYPES[str(colour.dtype)]
+        formats = [kind] if depth is None else [kind, (1, "f4")]
+        textures = self._targets.get(f"{formats} uploaded", (width, height), *formats).textures
+        for texture, array in zip(textures, (colour, depth), strict=False):
+            texture.write(np.ascontiguousarray(array), alignment=1)
+        return _Given(textures)
 
     def from_textures(
         self,
@@ -127,23 +134,43 @@ class PictureImport:
             BadInputError: a texture of another context or size, or of a format that cannot be read or copied; no such
                 layer or level; metres in a depth format.
         """
+        with self._context.drawing():
+            given = self._textures(camera.size_px, colour, depth, stored)
+            return self._take(camera, given, stored, rows, stored_colour, wider)
+
+    def _textures(self, size: tuple[int, int], colour: Any, depth: Any, stored: StoredDepth) -> "_Given":
         named = [("colour", colour)] + ([] if depth is None else [("depth", depth)])
         is_read = [isinstance(each, gl.Texture) and (gl.is_released(each) or not each.samples) for _, each in named]
-        size = camera.width_px, camera.height_px
         if all(is_read):
             for (name, texture), least_components in zip(named, (3, 1), strict=False):
                 _check_texture(self._context, name, texture, size, least_components)
             if depth is not None and depth.depth:
                 check_depth_format(stored)
-            with self._context.drawing():
-                return self._take(camera, colour, depth, stored, rows, stored_colour, wider, callers=True)
+            return _Given([texture for _, texture in named], is_callers=True)
         layers = [each if isinstance(each, TextureLayer) else TextureLayer(each) for _, each in named]
         for (name, _), layer in zip(named, layers, strict=True):
             if not is_number(layer.texture):
                 _check_context(self._context, f"{name} texture", layer.texture)
+        return _Given(self._copy.copy_layers(layers, size, stored))
+
+    def colour_alone(self, picture: Any, stored_colour: StoredColour, rows: Rows | None = None) -> gl.Texture:
+        """Return a picture without depth and camera as the texture of its colours, of a format of `GpuImage.colour`.
+
+        Args:
+            picture: an array (height, width, 3 or 4), or a texture of any kind that `from_textures` takes.
+            stored_colour: encoding of the colours.
+            rows: which row comes first; as usual for that kind if None.
+
+        Raises:
+            BadInputError: as `stored_picture.check_colour_array` and `from_textures`.
+        """
         with self._context.drawing():
-            copy, *depths = self._copy.copy_layers(layers, size, stored)
-            return self._take(camera, copy, depths[0] if depths else None, stored, rows, stored_colour, wider)
+            if isinstance(picture, np.ndarray):
+                check_colour_array(picture, stored_colour)
+                given, usual = self._uploaded(picture, None), Rows.TOP_FIRST
+            else:
+                given, usual = self._textures(self.size_of(picture), picture, None, METRES), Rows.BOTTOM_FIRST
+            return self._drawn(given, METRES, rows or usual, stored_colour)[0]
 
     def size_of(self, texture: Any) -> tuple[int, int]:
         """(width, height) of a texture, see `is_texture`.
@@ -181,8 +208,8 @@ class PictureImport:
         if not is_number(framebuffer):
             _check_context(self._context, "framebuffer", framebuffer)
         with self._context.drawing():
-            colour, depth = self._copy.copy_framebuffer(framebuffer, (camera.width_px, camera.height_px), stored)
-            return self._take(camera, colour, depth, stored, rows, stored_colour, wider)
+            given = _Given(self._copy.copy_framebuffer(framebuffer, camera.size_px, stored))
+            return self._take(camera, given, stored, rows, stored_colour, wider)
 
     def inset_program(self) -> gl.VertexArray:
         """Return the drawing of insets, compiled when it is first asked for."""
@@ -191,40 +218,55 @@ class PictureImport:
     def _take(
         self,
         camera: Pinhole,
-        colour: gl.Texture,
-        depth: gl.Texture | None,
+        given: "_Given",
         stored: StoredDepth,
         rows: Rows,
         stored_colour: StoredColour,
-        wider: GpuImage | None = None,
-        callers: bool = False,
+        wider: GpuImage | None,
     ) -> GpuImage:
-        """Convert textures; a caller's textures may have any filter, so that they are read by a sampler of ours."""
+        colours, depths = self._drawn(given, stored, rows, stored_colour, None if wider is None else (camera, wider))
+        encoding: Encoding = "srgb" if gl.is_srgb(colours) else "linear"
+        return GpuImage(self._context, camera, colours, depths, encoding=encoding, has_alpha=stored_colour.alpha)
+
+    def _drawn(
+        self,
+        given: "_Given",
+        stored: StoredDepth,
+        rows: Rows,
+        stored_colour: StoredColour,
+        inset: tuple[Pinhole, GpuImage] | None = None,
+    ) -> Sequence[gl.Texture]:
+        """Convert textures to colour, and inverse depth if there is a depth or a wider picture to take it from.
+
+        A caller's textures may have any filter, so that they are read by a sampler of ours.
+        """
+        colour, has_depth = given.textures[0], len(given.textures) > 1
         codes = stored_colour.encoding == "srgb"
         if codes and not self._context.reads_srgb_codes and self._context.has_srgb_format(colour):
             codes = False  # OpenGL has decoded them
         # The codes of an inset are decoded, to be mixed with the wider picture's light.
-        in_bytes = codes and stored_colour.bits == 8 and colour.dtype in ("f1", "nu1") and wider is None
-        kind = "srgb" if in_bytes else "f2"
-        target = self._targets.get(f"picture {kind}", (camera.width_px, camera.height_px), (4, kind), (1, "f4"))
+        in_bytes = codes and stored_colour.bits == 8 and colour.dtype in ("f1", "nu1") and inset is None
+        formats = [(4, "srgb" if in_bytes else "f2"), (1, "f4")][: 2 if has_depth or inset is not None else 1]
+        target = self._targets.get(f"picture {formats}", colour.size, *formats)
         self._context.draw_to(target.framebuffer)
         decodes = codes and not in_bytes
-        drawing = self._imports[decodes] if wider is None else self.inset_program()
+        drawing = self._imports[decodes] if inset is None else self.inset_program()
         program = drawing.program
-        textures = {"stored_colour": colour, "stored_depth": colour if depth is None else depth}
-        if wider is not None:
+        textures = {"stored_colour": colour, "stored_depth": given.textures[-1]}
+        if inset is not None:
+            camera, wider = inset
             gl.read_between_texels(wider.colour)
             textures |= {"wider": wider.colour, "wider_inverse_depth": wider.inverse_depth}
             gl.set_uniforms(
                 program,
                 wider_from_inset=pixels_from(camera, wider.camera),
                 border_px=BORDER * min(camera.width_px, camera.height_px),
-                shares_depth=depth is None,
+                shares_depth=not has_depth,
                 decodes=decodes,
             )
         gl.bind_textures(program, **textures)
         # Codes of fewer bits than the numbers of a uint16 texture, which holds 65535 as 1.
-        of_largest = 65535 / ((1 << stored_colour.bits) - 1) if not callers and colour.dtype == "nu2" else 1.0
+        of_largest = 65535 / ((1 << stored_colour.bits) - 1) if not given.is_callers and colour.dtype == "nu2" else 1.0
         gl.set_uniforms(
             program,
             bottom_first=rows is Rows.BOTTOM_FIRST,
@@ -234,21 +276,21 @@ class PictureImport:
             inverse_depth_of_0_and_1=stored.inverse_of_0_and_1,
             limits=stored.limits,
         )
-        units = range(2 if callers or gl.is_srgb(colour) else 0)
+        units = range(2 if given.is_callers or gl.is_srgb(colour) else 0)
         for unit in units:
             self._samplers[stored_colour.encoding].use(unit)
         drawing.render(vertices=3)
         for unit in units:
             self._samplers[stored_colour.encoding].clear(unit)
-        colours, depths = target.textures
-        return GpuImage(
-            self._context,
-            camera,
-            colours,
-            depths,
-            encoding="srgb" if in_bytes else "linear",
-            has_alpha=stored_colour.alpha,
-        )
+        return target.textures
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """A picture's colours, and depth if it has one, in textures of one size; whether they are the caller's."""
+
+    textures: Sequence[gl.Texture]
+    is_callers: bool = False
 
 
 def is_texture(value: Any) -> bool:
