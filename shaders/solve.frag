@@ -1,7 +1,9 @@
 #version 410
-// The world ray of each point of a grid on the panel under a planar bundle; warp/gl_ray_maps.py has the words, and generates
-// display_hold, display, display_contains, deviation and deviation_contains.
+// The world ray of each point of a grid on the panel under a planar bundle; warp/gl_ray_maps.py has the words.
 
+uniform sampler2D terms;  // coefficients at each point: rows of t, A and B, two terms in a texel, the highest powers first
+uniform vec4 display_box[2];    // centre of (u, v, x, y), and what one of them is in scaled units
+uniform vec4 deviation_box[2];  // the same of (x, y, tx, ty)
 uniform vec2 first_px;  // panel position of the first point
 uniform vec2 step_px;
 uniform vec3 viewpoint;
@@ -42,6 +44,32 @@ vec2 place_on_display_plane(vec2 tangents)
     return viewpoint.xy + behind_display_plane * depth_per_height(display_plane_slope, tangents) * tangents;
 }
 
+// t, A or B at a scaled place, and its derivatives: terms x^i y^j with i + j <= DEGREE, continued to first order outside.
+vec2 polynomial(int row_of_point, vec2 scaled, out mat2 slope)
+{
+    vec2 s = clamp(scaled, -SCALED_LIMIT, SCALED_LIMIT);
+    vec2 beyond = scaled - s;
+    vec2 value = vec2(0.0);
+    slope = mat2(0.0);
+    ivec2 point = ivec2(gl_FragCoord.xy);
+    ivec2 at = ivec2(point.x * TEXELS, 3 * point.y + row_of_point);
+    for (int i = DEGREE; i >= 0; --i) {
+        vec2 row = vec2(0.0), by_y = vec2(0.0);
+        for (int j = DEGREE - i; j >= 0; j -= 2, ++at.x) {
+            vec4 two = texelFetch(terms, at, 0);
+            by_y = by_y * s.y + row;
+            row = row * s.y + two.xy;
+            by_y = by_y * s.y + row;
+            row = row * s.y + two.zw;
+        }
+        slope[0] = slope[0] * s.x + value;
+        slope[1] = slope[1] * s.x + by_y;
+        value = value * s.x + row;
+    }
+    value += slope * beyond;
+    return value;
+}
+
 // Newton on p~ - viewpoint_xy - s t(pixel, p~) from the viewpoint; steps that do not shrink the residual are halved. The
 // last step is short enough for t to follow its slope, so that it costs no evaluation.
 //
@@ -56,7 +84,8 @@ Root solve()
     while (!root.solved && iterations < MAX_ITERATIONS) {
         mat2 slope;
         vec2 point = base - advance;
-        vec2 tangents_at_point = display(point, slope);
+        vec2 tangents_at_point = polynomial(0, (point - display_box[0].zw) * display_box[1].zw, slope);
+        slope = mat2(slope[0] * display_box[1].z, slope[1] * display_box[1].w);
         vec2 residual = point - place_on_display_plane(tangents_at_point);
         float size = length(residual);
         bool shrunk = size < size_at_base;
@@ -75,12 +104,13 @@ Root solve()
 void main()
 {
     vec2 pixel = first_px + step_px * (gl_FragCoord.xy - 0.5);
-    display_hold(pixel);
     Root root = solve();
 
     float depth = behind_see_through_plane * depth_per_height(see_through_plane_slope, root.tangents);
     vec4 inputs = vec4(viewpoint.xy + depth * root.tangents, root.tangents);
-    vec4 bent = deviation(inputs);
+    vec4 scaled = (inputs - deviation_box[0]) * deviation_box[1];
+    mat2 unused;
+    vec4 bent = vec4(polynomial(1, scaled.xy, unused), polynomial(2, scaled.xy, unused));
     // Where the ray, taken straight back, passes the viewpoint's z: B - s A beside the viewpoint.
     vec3 offset = camera_from_device * vec3(bent.zw - depth * bent.xy, 0.0);
     vec3 direction = camera_from_device * vec3(root.tangents + bent.xy, -1.0);
@@ -89,7 +119,8 @@ void main()
 
     bool solved = root.solved && !any(isnan(ray)) && !any(isinf(ray));
     bool forwards = direction.z < 0.0;
-    bool inside = viewpoint_inside && display_contains(vec4(pixel, root.point)) && deviation_contains(inputs);
+    vec4 shown = (vec4(pixel, root.point) - display_box[0]) * display_box[1];
+    bool inside = viewpoint_inside && all(lessThanEqual(max(abs(shown), abs(scaled)), vec4(SCALED_LIMIT)));
     status = uint(!solved ? NOT_CONVERGED : !forwards ? MISS : inside ? OK : OUTSIDE_FIT);
     slope_offset = solved && forwards ? ray : vec4(NOWHERE);
 }

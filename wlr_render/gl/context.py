@@ -170,29 +170,26 @@ class GlContext:
         """Read framebuffers and textures that a clean host gives by number anew: their numbers may have been reused."""
         self.names_version += 1
 
-    def program(self, vertex: str, fragment: str, functions: str = "", /, **constants: float) -> Program:
+    def program(self, vertex: str, fragment: str, /, **constants: float) -> Program:
         """Return the program of two files in shaders/, compiled once for each set of constants (`#define NAME value`).
 
         Args:
             vertex: file name.
             fragment: file name.
-            functions: generated GLSL that the fragment shader calls; it stands before the file's own text.
             constants: for both.
         """
-        key = vertex, fragment, functions, *sorted(constants.items())
+        key = vertex, fragment, *sorted(constants.items())
         if key not in self._programs:
             program = self._ctx.program(
                 vertex_shader=shader_source(vertex, constants),
-                fragment_shader=shader_source(fragment, constants, functions),
+                fragment_shader=shader_source(fragment, constants),
             )
             self._programs[key] = self.tracked(program)
         return self._programs[key]
 
-    def full_screen(
-        self, fragment: str, vertex: str = "full_screen.vert", functions: str = "", /, **constants: float
-    ) -> VertexArray:
+    def full_screen(self, fragment: str, /, **constants: float) -> VertexArray:
         """One triangle over the whole target that runs a fragment shader for each pixel: `.render(vertices=3)`."""
-        return self.no_vertices(self.program(vertex, fragment, functions, **constants))
+        return self.no_vertices(self.program("full_screen.vert", fragment, **constants))
 
     def no_vertices(self, program: Program) -> VertexArray:
         """Return a program that draws from `gl_VertexID` alone: `.render(vertices=n)`; made once for each program."""

@@ -12,11 +12,11 @@ GLSL_VERSION = 410
 """GLSL version of all shaders: OpenGL 4.1, the newest on macOS; it replaces the version that a shader file states."""
 
 
-def shader_source(name: str, constants: dict[str, float], functions: str = "") -> str:
-    """Text of a file in shaders/, with `#define NAME value` for each constant, and functions before its own text."""
+def shader_source(name: str, constants: dict[str, float]) -> str:
+    """Text of a file in shaders/, with `#define NAME value` for each constant."""
     _, text = atomic_files.resource("shaders", name).read_text(encoding="utf-8").split("\n", 1)
     defines = (f"#define {key} {value}" for key, value in constants.items())
-    return "\n".join([f"#version {GLSL_VERSION}", *defines, functions, "#line 2", text])
+    return "\n".join([f"#version {GLSL_VERSION}", *defines, "#line 2", text])
 
 
 class _Uniforms:

@@ -2,22 +2,26 @@
 
 Each point of the warp grid finds the tangents t under which the viewpoint sees it from
 p~ = viewpoint_xy + s t(pixel, p~), by Newton's method in float32. On a plane of slope m the depth s is
-h / (1 + m . t), with h the viewpoint's height over the plane along z. Deviation and ray are a closed form of the
-solution. A solve starts from the viewpoint, not from the last frame: a warp grid has so few points that the two or
-three iterations do not show in a frame's time.
+h / (1 + m . t), with h the viewpoint's height over the plane along z. A solve starts from the viewpoint, not from the
+last frame: a warp grid has so few points that the two or three iterations do not show in a frame's time.
+
+A pixel has one ray through each point of a base plane. At a pixel, therefore, the tangents t are a polynomial of p~
+alone, and the deviation (A, B) is a smooth function of the place on its own plane. Each point of the warp grid has the
+coefficients of both in a texture, computed once in float64: one program serves all eyes and calibrations.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.polynomial import polyvander2d
 
-from wlr_render.geometry.directions import ARCMIN
 from wlr_render.gl import gl
 from wlr_render.mappings import EYE_BOX_MARGIN, Eye, Status, StatusArray, require_planar
 from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.numerics.polynomial import SCALED_LIMIT, Box
 from wlr_render.warp.grid import WarpGrid
-from wlr_render.warp.ray_map import NEAREST_M, FilledRayMaps, RayMap, RayMapPlan, checked_viewpoint
-from wlr_render.warp.shader_polynomial import held_source, thinned, value_source
+from wlr_render.warp.ray_map import FilledRayMaps, RayMap, RayMapPlan, checked_viewpoint
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,17 +76,15 @@ LAST_STEP_M = 3e-6
 """A Newton step in the base plane that ends the solve: t follows its slope over it to 1e-4 arcmin, for slopes that
 change by less than 6 rad/m in a millimetre; and a thousand times what float32 leaves of a step."""
 
-DROPPED = 0.002 * ARCMIN
-"""Terms of a polynomial are dropped while they change no direction by more, in each of the display's tangents, A and
-B / NEAREST_M: a fifteenth of the best fits' error (0.03'), and no more than float32 loses."""
+DEGREE = 5
+"""Lowest total degree of a point's polynomials: display models have this degree in the place. Interpolated deviations
+of the shipped devices' models then err by 0.0015 arcmin; degree 6 takes a third more texels and errs by 0.0002."""
+
+_STEPS = 6  # between two base planes a few millimetres from each other: each step leaves a tenth of the error or less
 
 
 class GlPlanarSolver:
-    """`RayMapSolver` of one eye's planar models, in a shader compiled for its models.
-
-    Attributes:
-        dropped_arcmin: bounds what dropped terms of the polynomials change in a world ray within the fit, to NEAREST_M.
-    """
+    """`RayMapSolver` of one eye's planar models, in a shader."""
 
     def __init__(
         self,
@@ -98,26 +100,55 @@ class GlPlanarSolver:
         """
         self._display, self._see_through = require_planar(mappings)
         self._context, self._warp_grid, self._device_from_camera = context, warp_grid, device_from_camera
-        display = thinned(self._display.modelled, np.full(2, DROPPED))
-        deviation = thinned(self._see_through.modelled, DROPPED * np.array([1.0, 1.0, NEAREST_M, NEAREST_M]))
-        parts = display.bound, deviation.bound[:2], deviation.bound[2:] / NEAREST_M
-        self.dropped_arcmin = float(sum(np.linalg.norm(part) for part in parts)) / ARCMIN
-        functions = held_source("display", display.polynomial) + value_source("deviation", deviation.polynomial)
+        self._degree = max(DEGREE, int(self._display.modelled.orders[:, 2:].sum(axis=1).max(initial=0)))
+        terms = self._terms()
         constants: dict[str, float] = {status.name: int(status) for status in Status}
-        constants |= {"MAX_ITERATIONS": MAX_ITERATIONS, "LAST_STEP_M": LAST_STEP_M}
+        constants |= {"MAX_ITERATIONS": MAX_ITERATIONS, "LAST_STEP_M": LAST_STEP_M, "SCALED_LIMIT": SCALED_LIMIT}
+        constants |= {"DEGREE": self._degree, "TEXELS": terms.shape[3]}
         with context.drawing():
-            self._solve = context.full_screen("solve.frag", "full_screen.vert", functions, **constants)
+            self._solve = context.full_screen("solve.frag", **constants)
             self._target = gl.RenderTargets(context).get("rays", warp_grid.size, (4, "f4"), (1, "u1"))
+            self._texture = context.target((terms.shape[2] * terms.shape[3], 3 * warp_grid.rows), 4, "f4")
+            self._texture.write(terms)
+
+    def _terms(self) -> Float32Array:
+        """Return coefficients of t, A and B at each point: (rows, 3, columns, texels of two terms each, 4)."""
+        display, see_through = self._display, self._see_through
+        box, pixel = display.modelled.box.select((2, 3)), self._warp_grid.panel_pixel()
+        held = display.modelled.held((0, 1), pixel.reshape(-1, 2))
+        nodes, solve = _interpolation(box, self._degree)
+        shown = [held(np.broadcast_to(node, (pixel.size // 2, 2))).reshape(pixel.shape) for node in nodes]
+        tangents = solve @ np.stack(shown, axis=-2)
+
+        def deviation(node: FloatArray) -> FloatArray:
+            # Tangents of the rays through the node: the terms go on smoothly beyond the display's box.
+            place, point = node, see_through.place.lift(node)
+            for _ in range(1 if display.place == see_through.place else _STEPS):
+                seen = np.einsum("...n,...no->...o", _products(box.scaled(place), self._degree), tangents)
+                place = display.place.carry(point, seen)
+            return see_through.modelled(np.concatenate([np.broadcast_to(node, seen.shape), seen], axis=-1))
+
+        nodes, solve = _interpolation(see_through.modelled.box.select((0, 1)), self._degree)
+        deviations = solve @ np.stack([deviation(node) for node in nodes], axis=-2)
+        terms = np.concatenate([tangents, deviations], axis=-1, dtype=np.float32)
+        # Two terms share a texel, and t, A and B of a row of points have a row of texels each.
+        paired = np.moveaxis(terms.reshape(*pixel.shape[:2], -1, 2, 3, 2), 4, 1)
+        return np.ascontiguousarray(paired).reshape(*paired.shape[:4], 4)
 
     def solve(self, viewpoint: FloatArray) -> GpuRayMap:
         """Solve a ray map in the shader; see `RayMapSolver.solve`."""
         viewpoint = checked_viewpoint(viewpoint)
         display, see_through = self._display, self._see_through
+        program = self._solve.program
         with self._context.drawing():
             self._context.draw_to(self._target.framebuffer)
-            self._set_constants()
+            gl.bind_textures(program, terms=self._texture)
             gl.set_uniforms(
-                self._solve.program,
+                program,
+                first_px=tuple(self._warp_grid.first_px),
+                step_px=tuple(self._warp_grid.step_px),
+                display_plane_slope=tuple(map(float, display.place.slope)),
+                see_through_plane_slope=tuple(map(float, see_through.place.slope)),
                 viewpoint=tuple(viewpoint),
                 behind_display_plane=float(display.place.height_of(viewpoint)),
                 behind_see_through_plane=float(see_through.place.height_of(viewpoint)),
@@ -125,21 +156,37 @@ class GlPlanarSolver:
                     each.eye_box.contains(viewpoint, EYE_BOX_MARGIN) for each in (display, see_through)
                 ),
             )
+            for name, model in (("display_box", display), ("deviation_box", see_through)):
+                box = model.modelled.box
+                gl.set_array(program, name, [0.5 * (box.low + box.high), box.per_unit])
+            gl.set_matrix(program, "camera_from_device", self._device_from_camera.T)
             self._solve.render(vertices=3)
         slope_offset, status = self._target.textures
         return GpuRayMap(self._warp_grid, slope_offset, self._context, viewpoint, self._device_from_camera, status)
 
-    def _set_constants(self) -> None:
-        # Eyes with equal models share the program, but not their grid.
-        program = self._solve.program
-        gl.set_uniforms(
-            program,
-            first_px=tuple(self._warp_grid.first_px),
-            step_px=tuple(self._warp_grid.step_px),
-            display_plane_slope=tuple(map(float, self._display.place.slope)),
-            see_through_plane_slope=tuple(map(float, self._see_through.place.slope)),
-        )
-        gl.set_matrix(program, "camera_from_device", self._device_from_camera.T)
+
+def _interpolation(box: Box, degree: int) -> tuple[FloatArray, FloatArray]:
+    """Return Padua points (n, 2) of a box, and the matrix (terms, n) from values there to factors of `_products`.
+
+    Padua points are Chebyshev points of a total degree: interpolation errs hardly more than the best polynomial.
+    """
+    along = itertools.product(range(degree + 1), range(degree + 2))
+    scaled = np.cos(np.pi * np.array([(i / degree, j / (degree + 1)) for i, j in along if (i + j) % 2 == 0]))
+    used = np.sum(_powers(degree), axis=1) <= degree
+    solve = np.zeros((len(used), len(scaled)))
+    solve[used] = np.linalg.inv(_products(scaled, degree)[:, used])
+    return 0.5 * (box.low + box.high) + scaled / box.per_unit, solve
+
+
+def _products(scaled: FloatArray, degree: int) -> FloatArray:
+    """Return the terms x^i y^j of `_powers` at scaled places (..., 2): (..., terms)."""
+    products = polyvander2d(scaled[..., 0], scaled[..., 1], [degree, degree + 1])
+    return np.asarray(products[..., [i * (degree + 2) + j for i, j in _powers(degree)]])
+
+
+def _powers(degree: int) -> list[tuple[int, int]]:
+    """Return i and j of the terms in the order of solve.frag, which reads two at once; some exceed the degree."""
+    return [(i, j) for i in reversed(range(degree + 1)) for j in reversed(range((degree - i | 1) + 1))]
 
 
 class GlNodeSolver:
