@@ -4,7 +4,7 @@ import pytest
 from present import narrowed
 from speed_work import needs_gl, small_work
 
-from benchmarks.speed import fixed_maps, stages
+from benchmarks.speed import eye_tracking, fixed_maps, pictures, stages
 from benchmarks.speed.running import Running
 from benchmarks.speed.timing import TIME_COLUMNS
 from benchmarks.speed.workload import Workload
@@ -35,6 +35,21 @@ def test_every_stage_has_a_time(work: Workload) -> None:
         assert stage in names
     for stage in ("newer pose and pupil", "a pose for each row", "read-back", "three colours"):
         assert stage in names
+
+
+@pytest.mark.slow
+def test_each_ratio_is_of_the_program_and_of_the_gpu(work: Workload) -> None:
+    near, price = (part(work, "auto").figures for part in (pictures.near_object, eye_tracking.price))
+    assert len(near) == 2 * len(pictures.OBJECTS_M)
+    for figures in (near, price):
+        for of_program, of_gpu in zip(figures[::2], figures[1::2], strict=True):
+            assert of_gpu.quantity == f"{of_program.quantity}: GPU work"
+            assert (
+                min(milliseconds(each) for pair in (of_program, of_gpu) for each in (pair.ours, pair.compared_with)) > 0
+            )
+    for frame in stages.both_eyes(work, "auto", (90, 80)).figures:
+        assert "of GPU work" in frame.compared_with
+        assert "of CPU" in frame.compared_with
 
 
 def test_all_warps_are_timed(work: Workload) -> None:
