@@ -1,5 +1,6 @@
 #version 410
 #include "conventions.glsl"
+#include "texels.glsl"
 #include "ranges.glsl"
 #include "insets.glsl"
 // For each point of a warp grid: where its ray appears in the image, the second differences of that, and the bounds of
@@ -31,11 +32,11 @@ vec4 path_at(int channel, ivec2 point)
         return vec4(MISSING, 0.0, 0.0, 0.0);
     vec4 ray = vec4(0.0);
     for (int k = 0; k < CHANNELS; ++k)
-        ray = k == channel ? texelFetch(slope_offset[k], point, 0) : ray;
+        ray = k == channel ? fetched(slope_offset[k], point) : ray;
     vec4 matrix[3] = camera_matrix;
     if (has_row_matrices)
         for (int k = 0; k < 3; ++k)
-            matrix[k] = texelFetch(row_matrices, ivec2(k, point.y), 0);
+            matrix[k] = fetched(row_matrices, ivec2(k, point.y));
     vec4 found;
     project_ray(ray, matrix[0], matrix[1], matrix[2], found.xy, found.zw);
     // By its bits: compilers may take isnan for false.

@@ -10,8 +10,8 @@ bool is_filled(sampler2D paths, sampler2D ranges, ivec2 upper_left, vec2 picture
     bool filled = true;
     for (int k = 0; k < 4 * CHANNELS; ++k) {
         ivec2 cell = upper_left + ivec2(0, k / 4 * rows);
-        vec4 path = texelFetch(paths, cell + ivec2(k % 2, k % 4 / 2), 0);
-        vec2 range = texelFetch(ranges, cell, 0).zw;
+        vec4 path = fetched(paths, cell + ivec2(k % 2, k % 4 / 2));
+        vec2 range = fetched(ranges, cell).zw;
         range = range.x < 0.0 ? -1.0 - range : range;
         vec2 one = path.xy + range.x * path.zw, other = path.xy + range.y * path.zw;
         bool inside = all(greaterThan(min(one, other), vec2(INSET_SLACK_PX))) &&

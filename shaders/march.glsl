@@ -15,7 +15,7 @@ float smooth_inverse_depth(vec2 pixel)
     vec2 base, weight;
     bilinear_taps(pixel, base, weight);
     vec2 shared_corner = (base + 1.0) * per_texel;
-    vec4 texels = textureGather(inverse_depth, shared_corner);  // lower left, lower right, upper right, upper left
+    vec4 texels = gathered(inverse_depth, shared_corner);  // lower left, lower right, upper right, upper left
     float high = max(max(texels.x, texels.y), max(texels.z, texels.w));
     float low = min(min(texels.x, texels.y), min(texels.z, texels.w));
     weight = high - low > SURFACE_STEP * high ? step(0.5, weight) : weight;
@@ -34,7 +34,7 @@ vec2 place_on_surface(vec2 pixel, float met, float half_px)
 {
     vec2 base, weight;
     bilinear_taps(pixel, base, weight);
-    vec4 texels = textureGather(inverse_depth, (base + 1.0) * per_texel);  // lower left, lower right, upper right, upper left
+    vec4 texels = gathered(inverse_depth, (base + 1.0) * per_texel);  // lower left, lower right, upper right, upper left
     vec4 belongs = vec4(lessThanEqual(abs(texels - met), max(SURFACE_STEP * max(texels, met), half_px)));
     vec4 share = belongs * vec4(1.0 - weight.x, weight.xx, 1.0 - weight.x) * vec4(weight.yy, 1.0 - weight.yy);
     float largest = max(max(share.x, share.y), max(share.z, share.w));
@@ -73,8 +73,8 @@ int march(vec2 at_infinity, vec2 shift, out vec2 pixel, out float seen_there, ou
         leaves = mix(leaves, vec2(here - one_px), greaterThanEqual(leaves, vec2(here)));
         leaves_tile = mix(leaves_tile, vec2(here - one_px), greaterThanEqual(leaves_tile, vec2(here)));
         float end = max(max(leaves.x, leaves.y), far_end), end_of_tile = max(max(leaves_tile.x, leaves_tile.y), far_end);
-        vec2 bounds = texture(tiles, (tile + 0.5) * float(TILE) * tiles_per_px).xy;
-        float seen = texture(inverse_depth, (texel + 0.5) * per_texel).r;
+        vec2 bounds = sampled(tiles, (tile + 0.5) * float(TILE) * tiles_per_px).xy;
+        float seen = sampled(inverse_depth, (texel + 0.5) * per_texel).r;
 
         bool is_behind = seen > here;
         bool behind_tile = !in_front && bounds.x > here && is_one_surface(bounds.x, bounds.y, 0.5 * one_px);
@@ -99,7 +99,7 @@ int march(vec2 at_infinity, vec2 shift, out vec2 pixel, out float seen_there, ou
     bool is_outside = never_enters || !meets && in_front && far_end > last;
     met = stays ? limit : met;
     pixel = is_outside ? vec2(-MARGIN_PX) : at_infinity + met * shift;
-    seen_there = meets ? met : texture(inverse_depth, pixel * per_texel).r;
+    seen_there = meets ? met : sampled(inverse_depth, pixel * per_texel).r;
     half_px = 0.5 * one_px;
     return meets ? SEEN : DISOCCLUDED;
 }

@@ -1,4 +1,5 @@
 #version 410
+#include "texels.glsl"
 // The pyramid of smallest and largest values that ranges.glsl reads, from those of the tiles.
 //
 // Levels lie side by side, with n, n / 2, ... 2 texels along each axis; n is the target's height. A place holds the bounds
@@ -20,8 +21,8 @@ vec2 range_of(sampler2D tiles, ivec2 corner, int count)
     for (int y = first.y; y < end.y; y += 2) {
         for (int x = first.x; x < end.x; x += 2) {
             ivec2 last = min(ivec2(x, y) + 1, end - 1);
-            vec4 columns = vec4(texelFetch(tiles, ivec2(x, y), 0).xy, texelFetch(tiles, ivec2(last.x, y), 0).xy);
-            vec4 below = vec4(texelFetch(tiles, ivec2(x, last.y), 0).xy, texelFetch(tiles, last, 0).xy);
+            vec4 columns = vec4(fetched(tiles, ivec2(x, y)).xy, fetched(tiles, ivec2(last.x, y)).xy);
+            vec4 below = vec4(fetched(tiles, ivec2(x, last.y)).xy, fetched(tiles, last).xy);
             low = min(low, vec4(columns.xz, below.xz));
             high = max(high, vec4(columns.yw, below.yw));
         }

@@ -9,7 +9,7 @@ uniform sampler2D ranges;  // see range_pyramid.frag
 vec2 range_at(vec2 corner, float finest_per_texel, vec2 size)
 {
     float left = 2.0 * size.y * (1.0 - 1.0 / finest_per_texel);
-    return texture(ranges, (corner + vec2(left + 0.5, 0.5)) / size).xy;
+    return sampled(ranges, (corner + vec2(left + 0.5, 0.5)) / size).xy;
 }
 
 // Bounds of the whole image.

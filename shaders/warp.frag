@@ -1,32 +1,13 @@
 #version 410
 #include "conventions.glsl"
 #include "srgb.glsl"
-// What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.
-//
-// Written for software renderers too: a texture read at normalised coordinates costs them less than texelFetch. They do
-// not compute outputs that the target has no image for.
-
-uniform sampler2D picture;  // gives linear light
-uniform sampler2D inverse_depth;
-uniform vec3 background;  // linear light
-uniform float opaque;     // 1 for a picture without alpha
-#if ENCODING == TABLE
-uniform sampler2D code_of_light;  // over the fourth root of the light, from 0 to 1
-#endif
-#if UNIFORMITY
-uniform sampler2D uniformity;  // factors of the light
-in vec2 panel_place;
-#endif
-
-#if OVERLAYS
-uniform int overlay_count;
-uniform sampler2D overlays[MAX_OVERLAYS];
-uniform vec3 overlay_place[3 * MAX_OVERLAYS];  // rows that take a pixel of the image to the place on a quad, times its inverse depth
-#endif
-uniform bool is_inset;           // a sharper picture of a part, drawn over the wider one
-uniform vec4 widest_from_inset;  // scale and offset of pixels
+#include "texels.glsl"
+// The warp as a fragment shader, for cells that are sampled directly or marched.
 
 in vec2 grid_place;
+#if UNIFORMITY
+in vec2 panel_place;
+#endif
 in vec4 path[CHANNELS];
 in vec4 bend[CHANNELS];
 in vec2 mixed_bend[CHANNELS];
@@ -40,132 +21,21 @@ layout(location = 0) out vec4 colour;
 layout(location = 1) out uint worst_status;
 layout(location = 2) out vec2 source;
 
-#define NOWHERE uintBitsToFloat(0x7fc00000u)
-vec2 size_px = vec2(textureSize(picture, 0));
-vec2 per_texel = 1.0 / size_px;
+const bool is_direct = MARCH == 0;
 
-#if MARCH
-#include "march.glsl"
-#endif
-
-// What linear interpolation over a triangle misses of a quadratic, from its second differences between grid points.
-vec2 missed_by_triangles(int channel)
+void sides_of_pixel(const int channel, out vec2 across, out vec2 down)
 {
-    vec2 place = grid_place - cell;
-    vec2 share = place * (1.0 - place);
-    float mixed = place.x + place.y < 1.0 ? place.x * place.y : (1.0 - place.x) * (1.0 - place.y);
-    return mixed * mixed_bend[channel] - 0.5 * (share.x * bend[channel].xy + share.y * bend[channel].zw);
+    across = dFdx(path[channel].xy);
+    down = dFdy(path[channel].xy);
 }
 
-vec4 light_at(vec2 pixel, float inverse, float half_px)
-{
-#if MARCH
-    pixel = place_on_surface(pixel, inverse, half_px);
-#endif
-    return textureLod(picture, pixel * per_texel, 0.0);
-}
-
-// The mean over a display pixel, whose sides appear in the image as `across` and `down`.
-vec4 filtered_light(vec2 pixel, vec2 across, vec2 down, float inverse, float half_px)
-{
-    // Tested at its end: software renderers run one round too many of a loop that is tested at its head.
-    vec4 sum = vec4(0.0);
-    float i = 0.0, count = samples_per_axis * samples_per_axis;
-    do {
-        float row = floor((i + 0.5) / samples_per_axis);
-        vec2 place = (vec2(i - row * samples_per_axis, row) + 0.5) / samples_per_axis - 0.5;
-        sum += light_at(pixel + place.x * across + place.y * down, inverse, half_px);
-        i += 1.0;
-    } while (i < count);
-    return sum / count;
-}
-
-#if OVERLAYS
-// Premultiplied light where the ray meets an overlay's quad, with smooth edges; 0 beside it and behind the viewer.
-vec4 overlay_light(int k, vec2 at_infinity, vec2 shift)
-{
-    vec3 row_x = overlay_place[3 * k], row_y = overlay_place[3 * k + 1], row_w = overlay_place[3 * k + 2];
-    // The plane's inverse depth is linear in the pixel, and the pixel in the inverse depth.
-    float inverse = dot(row_w, vec3(at_infinity, 1.0)) / (1.0 - dot(row_w.xy, shift));
-    vec3 pixel = vec3(at_infinity + inverse * shift, 1.0);
-    vec2 place = vec2(dot(row_x, pixel), dot(row_y, pixel)) / dot(row_w, pixel);
-    vec2 covered = clamp(min(place, 1.0 - place) / fwidth(place) + 0.5, 0.0, 1.0);
-    vec4 sampled = texture(overlays[k], place);
-    return inverse > 0.0 ? covered.x * covered.y * sampled : vec4(0.0);
-}
-#endif
-
-vec3 code_of(vec3 light)
-{
-#if ENCODING == SRGB
-    return srgb_of_linear(light);
-#elif ENCODING == TABLE
-    float last = float(textureSize(code_of_light, 0).x - 1);
-    vec3 place = (0.5 + last * sqrt(sqrt(clamp(light, 0.0, 1.0)))) / (last + 1.0);
-    return vec3(texture(code_of_light, vec2(place.r, 0.5)).r, texture(code_of_light, vec2(place.g, 0.5)).g,
-                texture(code_of_light, vec2(place.b, 0.5)).b);
-#else
-    return light;
-#endif
-}
-
-vec3 light = vec3(0.0);
-float alpha = 0.0;
-int worst = SEEN;
-vec2 seen_at = vec2(0.0);
-
-// Called with constants: a loop that is not unrolled would index the interpolants at run time.
-void add_channel(const int channel)
-{
-    bool lost = known[channel] == 0.0;
-    vec2 at_infinity = lost ? vec2(0.0) : path[channel].xy + missed_by_triangles(channel);
-    vec2 shift = lost ? vec2(0.0) : path[channel].zw;
-    vec2 pixel;
-    float inverse = 0.0, half_px = 0.0;
-#if MARCH
-    int status = march(at_infinity, shift, pixel, inverse, half_px);
-#else
-    // All that the image shows along the path lies within DIRECT_PX.
-    vec2 nearby = at_infinity + 0.5 * (range.x + range.y) * shift;
-    pixel = at_infinity + texture(inverse_depth, nearby * per_texel).r * shift;
-    int status = SEEN;
-#endif
-    float margin = is_inset ? 0.5 : 0.0;
-    bool inside = all(greaterThanEqual(pixel, vec2(margin))) && all(lessThanEqual(pixel, size_px - margin));
-    inside = inside || filled == 1.0;  // never a hole, whatever the depths
-    status = lost ? NO_RAY : (inside ? status : OUTSIDE);
-    bool found = status <= DISOCCLUDED;
-
-    vec4 sampled = filtered_light(pixel, dFdx(path[channel].xy), dFdy(path[channel].xy), inverse, half_px);
-    vec3 share = CHANNELS == 1 ? vec3(1.0) : vec3(equal(ivec3(0, 1, 2), ivec3(channel)));
-    vec4 seen = found ? vec4(sampled.rgb, max(sampled.a, opaque)) : vec4(background, opaque);
-#if OVERLAYS
-    for (int k = 0; k < overlay_count; ++k) {
-        vec4 over = overlay_light(k, at_infinity, shift);
-        seen = lost ? seen : over + (1.0 - over.a) * seen;
-    }
-#endif
-    light += share * seen.rgb;
-    alpha = channel == CHANNELS / 2 ? seen.a : alpha;
-    worst = max(worst, status);
-    seen_at = channel == CHANNELS / 2 ? (found ? pixel : vec2(NOWHERE)) : seen_at;
-}
+#include "warp.glsl"
 
 void main()
 {
-    add_channel(0);
-#if CHANNELS == 3
-    add_channel(1);
-    add_channel(2);
-#endif
-    // The wider picture is drawn there already.
-    if (is_inset && worst > DISOCCLUDED)
+    if (!shade())
         discard;
-    seen_at = is_inset ? seen_at * widest_from_inset.xy + widest_from_inset.zw : seen_at;
-#if UNIFORMITY
-    light *= texture(uniformity, panel_place).rgb;
-#endif
-    colour = vec4(code_of(light), alpha);
+    colour = vec4(light, alpha);
     worst_status = uint(worst);
     source = seen_at;
 }

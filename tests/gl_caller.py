@@ -112,6 +112,8 @@ class Caller:
         for unit, (texture, sampler) in enumerate(zip(self.textures, self.samplers, strict=True)):
             texture.use(unit)
             sampler.use(unit)
+        for unit, texture in enumerate(self.textures[:3]):
+            self.gl("glBindImageTexture", unit, texture.glo, 0, 0, 0, 0x88B9 + unit % 2, 0x8058)
         self.gl("glActiveTexture", 0x84C0 + 8)
 
     def state(self) -> dict[str, Any]:
@@ -124,6 +126,11 @@ class Caller:
             self.gl("glActiveTexture", 0x84C0 + unit)
             state[f"unit {unit}"] = [self._get("glGetIntegerv", [enum], ctypes.c_int) for enum in (0x8069, 0x8919)]
         self.gl("glActiveTexture", active)
+        for unit in range(3):
+            parts = [
+                self._get("glGetIntegeri_v", [enum, unit], ctypes.c_int) for enum in (*range(0x8F3A, 0x8F3F), 0x906E)
+            ]
+            state[f"image {unit}"] = parts
         state["ModernGL"] = (
             self.ctx.fbo, self.ctx.mglo.fbo, self.ctx.viewport, self.ctx.scissor, self.ctx.gc_mode,
             dict(self.ctx.includes), self.ctx.wireframe, self.ctx.polygon_offset, self.ctx.default_texture_unit,

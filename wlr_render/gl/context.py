@@ -3,7 +3,7 @@
 import contextlib
 import ctypes
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -15,14 +15,14 @@ from wlr_render.errors import BadInputError
 from wlr_render.gl.host_checks import ErrorReader, GlError, error_name
 from wlr_render.gl.native_contexts import CurrentContext
 from wlr_render.gl.ownership import ContextOwner
-from wlr_render.gl.programs import forget_textures, shader_source
-from wlr_render.io import atomic_files
+from wlr_render.gl.programs import COMPUTE_VERSION, forget_textures, shader_source
 
 Texture = moderngl.Texture
 TextureArray = moderngl.TextureArray
 Context = moderngl.Context
 Framebuffer = moderngl.Framebuffer
 Program = moderngl.Program
+ComputeShader = moderngl.ComputeShader
 VertexArray = moderngl.VertexArray
 Sampler = moderngl.Sampler
 Buffer = moderngl.Buffer
@@ -50,6 +50,7 @@ class GlContext:
         largest_side_px: limit of OpenGL on a texture's or framebuffer's width and height.
         host_is_clean: whether the host has promised OpenGL's default state, see `adopt_context`.
         names_version: counts the calls of `forget_names`.
+        computes: whether the warp runs as a compute shader: a GPU with OpenGL 4.3. Software renderers compute slowly.
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class GlContext:
         # Objects that Python drops are freed in the next drawing block, when this context is sure to be current.
         self._ctx.gc_mode = "context_gc"
         self._programs: dict[tuple[object, ...], Program] = {}
+        self._compute_programs: dict[tuple[object, ...], ComputeShader] = {}
         self._errors = ErrorReader(current)
         self.host_is_clean, self.names_version = host_is_clean, 0
         self._depth, self._switched = 0, False
@@ -78,8 +80,7 @@ class GlContext:
         with owner.entered(third_party=False):
             self.renderer = str(ctx.info["GL_RENDERER"])
             self.largest_side_px = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
-        for path in atomic_files.resource("shaders").glob("*.glsl"):
-            self._ctx.includes[path.name] = path.read_text(encoding="utf-8")
+        self.computes = ctx.version_code >= COMPUTE_VERSION and not self.is_software
 
     def __enter__(self) -> "GlContext":
         return self
@@ -187,6 +188,24 @@ class GlContext:
             self._programs[key] = self.tracked(program)
         return self._programs[key]
 
+    def compute_program(self, name: str, /, **constants: float) -> ComputeShader:
+        """Return the compute shader of a file in shaders/, compiled once for each set of constants; OpenGL 4.3."""
+        key = name, *sorted(constants.items())
+        if key not in self._compute_programs:
+            made = self._ctx.compute_shader(shader_source(name, constants))
+            self._compute_programs[key] = self.tracked(made)
+        return self._compute_programs[key]
+
+    def bind_images(self, textures: Sequence[Texture]) -> None:
+        """Give compute shaders the textures that `target` made, at most IMAGES, to write to as images 0, 1, ..."""
+        for unit, texture in enumerate(textures):
+            texture.bind_to_image(unit, read=False, write=True, format=_RGB10_A2 if texture.extra == _RGB10_A2 else 0)
+
+    def compute(self, program: ComputeShader, *groups: int) -> None:
+        """Run a compute shader for (columns, rows) of work groups; what comes after sees what it has written."""
+        program.run(*groups)
+        self._ctx.memory_barrier()
+
     def full_screen(self, fragment: str, /, **constants: float) -> VertexArray:
         """One triangle over the whole target that runs a fragment shader for each pixel: `.render(vertices=3)`."""
         return self.no_vertices(self.program("full_screen.vert", fragment, **constants))
@@ -208,6 +227,7 @@ class GlContext:
             texture.extra = SRGB8_ALPHA8
         elif dtype == "rgb10":
             texture = self.tracked(self._ctx.texture(size, components, dtype="nu2", internal_format=_RGB10_A2))
+            texture.extra = _RGB10_A2
         else:
             texture = self.tracked(self._ctx.texture(size, components, dtype=dtype))
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
@@ -310,6 +330,7 @@ class GlContext:
         is_gone = caller_is_gone and not self._current.is_current()
         if not self._released and (is_gone or self._freed()):
             self._programs.clear()
+            self._compute_programs.clear()
             self._no_vertices.clear()
             self._released = True
         return self._released

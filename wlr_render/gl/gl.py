@@ -18,6 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 from wlr_render.errors import MissingGlError
 from wlr_render.gl.context import SRGB8_ALPHA8
 from wlr_render.gl.context import Buffer as Buffer
+from wlr_render.gl.context import ComputeShader as ComputeShader
 from wlr_render.gl.context import Context as Context
 from wlr_render.gl.context import Framebuffer as Framebuffer
 from wlr_render.gl.context import GlContext as GlContext

@@ -1,8 +1,8 @@
 """Save and restore the state of an adopted OpenGL context around draws.
 
 What no block of this library touches or depends on is left out: bindings of uniform, storage and transform buffers, of
-images, of textures other than 2D, and units past the first twelve; and of a row of viewports and scissor boxes only the
-first is put back.
+textures other than 2D, texture units past the first twelve and image units past the third; and of a row of viewports
+and scissor boxes only the first is put back.
 """
 
 import contextlib
@@ -17,6 +17,9 @@ from wlr_render.gl.native_contexts import CurrentContext
 
 UNITS = 12
 """Texture units that are kept; a block must use no others."""
+
+IMAGES = 3
+"""Image units that are kept; a block must use no others."""
 
 _DRAW_BUFFERS = 8  # every OpenGL has as many
 _UINT, _INT, _BYTE = ctypes.c_uint, ctypes.c_int, ctypes.c_ubyte
@@ -43,7 +46,7 @@ class _Value:
         kind: C type of the numbers.
         first: the setter's fixed arguments.
         neutral: the values that our drawing needs; None if it does not matter or every drawing sets it.
-        count: how many draw buffers have one each, 0 if it exists once; the setter takes the buffer's index first.
+        count: how many draw buffers or units have one each, 0 if it exists once; the setter takes the index first.
         changed: whether our drawing changes it; other values are restored only if they were not neutral.
     """
 
@@ -92,7 +95,11 @@ _SWITCHES_OF_OTHERS = {
 _ON = {"MULTISAMPLE"}
 _OF_A_CLEAN_HOST = {0x0BD0, 0x8F9D}  # DITHER is on by default, and ModernGL switches PRIMITIVE_RESTART on
 # What is younger than OpenGL 4.1, by enum: version and extension.
-_YOUNGER = {0x935C: ((4, 5), "GL_ARB_clip_control"), 0x8D69: ((4, 3), "GL_ARB_ES3_compatibility")}
+_YOUNGER = {
+    0x935C: ((4, 5), "GL_ARB_clip_control"),
+    0x8D69: ((4, 3), "GL_ARB_ES3_compatibility"),
+    0x8F3A: ((4, 3), ""),  # compute shaders alone write to images
+}
 
 _PACK, _UNPACK = (0x0D05, 0x0D02, 0x0D03, 0x0D04, 0x0D00), (0x0CF5, 0x0CF2, 0x0CF3, 0x0CF4, 0x0CF0)
 _PIXEL_PARTS = "ALIGNMENT", "ROW_LENGTH", "SKIP_ROWS", "SKIP_PIXELS", "SWAP_BYTES"
@@ -112,6 +119,8 @@ _VALUES = (
     _Value("glBindRenderbuffer", (0x8CA7,), first=(0x8D41,), changed=True),
     _Value("glBindFramebuffer", (0x8CAA,), first=(0x8CA8,), changed=True),  # read
     _Value("glBindFramebuffer", (0x8CA6,), first=(0x8CA9,), changed=True),  # draw
+    # Name, level, whether it is layered, layer, access, format.
+    _Value("glBindImageTexture", (0x8F3A, 0x8F3B, 0x8F3C, 0x8F3D, 0x8F3E, 0x906E), count=IMAGES, changed=True),
     _Value("glViewport", (0x0BA2,), 4, changed=True),
     _Value("glDepthRange", (0x0B70,), 2, _DOUBLE, neutral=(0.0, 1.0)),
     _Value("glClipControl", (0x935C, 0x935D), neutral=(0x8CA1, 0x935E)),  # lower left, -1 to 1

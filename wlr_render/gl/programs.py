@@ -1,5 +1,6 @@
 """Sources, uniforms and textures of shader programs; an unchanged uniform costs no OpenGL call."""
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,11 +13,27 @@ GLSL_VERSION = 410
 """GLSL version of all shaders: OpenGL 4.1, the newest on macOS; it replaces the version that a shader file states."""
 
 
+COMPUTE_VERSION = 430
+"""GLSL version of compute shaders: OpenGL 4.3."""
+
+_INCLUDE = re.compile(r'^#include "(\w+\.glsl)"$', re.MULTILINE)
+
+
 def shader_source(name: str, constants: dict[str, float]) -> str:
     """Text of a file in shaders/, with `#define NAME value` for each constant."""
-    _, text = atomic_files.resource("shaders", name).read_text(encoding="utf-8").split("\n", 1)
+    _, text = _text(name).split("\n", 1)
     defines = (f"#define {key} {value}" for key, value in constants.items())
-    return "\n".join([f"#version {GLSL_VERSION}", *defines, "#line 2", text])
+    version = COMPUTE_VERSION if name.endswith(".comp") else GLSL_VERSION
+    return "\n".join([f"#version {version}", *defines, "#line 2", _with_includes(text)])
+
+
+def _with_includes(text: str) -> str:
+    """Put the text of each file that is included in place of its line, and of the files that it includes."""
+    return _INCLUDE.sub(lambda found: _with_includes(_text(found[1])), text)
+
+
+def _text(name: str) -> str:
+    return atomic_files.resource("shaders", name).read_text(encoding="utf-8")
 
 
 class _Uniforms:

@@ -1,7 +1,8 @@
 """Backward warp of an intermediate image on the GPU; `warp.py` states the algorithm."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from wlr_render.warp.gl_overlay import SeenOverlay
 from wlr_render.warp.gl_panel import SRGB_ENCODER, PanelEncoder
 from wlr_render.warp.gl_ray_maps import RayTexture
 from wlr_render.warp.gpu_image import DepthRanges, GlDepthRanges, GpuImage
+from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.warp import (
     DIRECT_PX,
     SPACING_PX,
@@ -36,6 +38,13 @@ _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
     "MISSING": 1e30,
     "MAX_OVERLAYS": MAX_OVERLAYS,
 }
+
+
+_GROUP = 8
+"""Side of a work group of the compute shader, in pixels."""
+
+_Run = tuple[gl.Program | gl.ComputeShader, Callable[[], object]]
+"""A program, and what runs it when its textures and uniforms are set."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +121,7 @@ class GlWarp:
         self._context, self._channels, self._panel = context, channels, panel
         self._cells: list[_GlCells] = []
         self._targets = gl.RenderTargets(context)
-        self._drawings: dict[tuple[float, ...], gl.VertexArray] = {}
+        self._drawings: dict[tuple[int, bool], gl.VertexArray] = {}
 
     def draw(
         self,
@@ -144,13 +153,9 @@ class GlWarp:
             BadInputError: the number of ray maps or the shape of the transforms does not fit.
         """
         with self._context.drawing():
-            source_format = [(2, "f4")] if with_source else []
-            made = self._targets.get(
-                f"source {with_source}", size_px, (4, self._panel.texture_kind), (1, "u1"), *source_format
-            )
-            target = WarpTarget(made.framebuffer, (0, 0), size_px, True)
+            made = self._own_target(size_px, with_source)
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
-            self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays)
+            self._draw(pictures, ray_maps, image_from_ray_map, made, background, overlays)
         colour, status, *source = made.textures
         return GpuWarped(self._context, colour, status, source[0] if source else None)
 
@@ -169,47 +174,100 @@ class GlWarp:
         with self._context.drawing():
             before = target.framebuffer.viewport
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
+            drawn = pictures, ray_maps, image_from_ray_map
             try:
-                self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays)
+                if self._context.computes:
+                    made = self._own_target(target.size_px, with_source=False)
+                    self._draw(*drawn, made, background, overlays)
+                    self._copy(made.textures[0], target)
+                else:
+                    self._draw(*drawn, target, background, overlays)
             finally:
                 target.framebuffer.viewport = before
+
+    def _own_target(self, size_px: tuple[int, int], with_source: bool) -> gl.RenderTarget:
+        source_format = [(2, "f4")] if with_source else []
+        kinds = (4, self._panel.texture_kind), (1, "u1"), *source_format
+        return self._targets.get(f"source {with_source}", size_px, *kinds)
 
     def _draw(
         self,
         pictures: Sequence[WarpedPicture],
         ray_maps: Sequence[RayTexture],
         image_from_ray_map: FloatArray,
-        target: WarpTarget,
+        target: WarpTarget | gl.RenderTarget,
         background: tuple[int, int, int],
         overlays: Sequence[SeenOverlay],
     ) -> None:
+        """Draw to a caller's target, or to one of ours: by a compute shader where the context prefers it."""
+        size_px = target.size_px if isinstance(target, WarpTarget) else target.framebuffer.size
         _check(ray_maps, self._channels, image_from_ray_map)
         while len(self._cells) < len(pictures):
             self._cells.append(_GlCells(self._context, self._channels))
         cells: list[_Cells] = []  # the sharpest picture comes first: a wider picture's cells depend on it
         for k in reversed(range(len(pictures))):
-            drawn = pictures[k].image, ray_maps, image_from_ray_map, target.size_px
+            drawn = pictures[k].image, ray_maps, image_from_ray_map, size_px
             cells.insert(0, self._cells[k].draw(*drawn, is_inset=k > 0, inset=cells[0] if cells else None))
+        if isinstance(target, gl.RenderTarget) and self._context.computes:
+            runs = self._computing(target, bool(overlays))
+        else:
+            if isinstance(target, gl.RenderTarget):
+                target = WarpTarget(target.framebuffer, (0, 0), size_px, True)
+            runs = self._drawing(target, ray_maps[0].warp_grid, bool(overlays))
+        light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
+        for k, (picture, of_picture) in enumerate(zip(pictures, cells, strict=True)):
+            uniforms = {"background": light, "is_inset": k > 0}
+            uniforms["widest_from_inset"] = pixels_from(picture.image.camera, pictures[0].image.camera)
+            for program, run in runs:
+                self._set(program, picture, of_picture, overlays, uniforms)
+                run()
+
+    def _drawing(self, target: WarpTarget, warp_grid: WarpGrid, overlays: bool) -> list[_Run]:
+        """Return the programs of both kinds of cells, which draw to a target."""
         target.framebuffer.viewport = (*target.first_px, *target.size_px)
         self._context.draw_to(target.framebuffer)
-        constants = {"OVERLAYS": int(bool(overlays))}
-        light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
-        columns, rows = ray_maps[0].warp_grid.size
-        for k, (picture, of_picture) in enumerate(zip(pictures, cells, strict=True)):
-            uniforms = {"background": light, "top_row_first": target.top_row_first, "is_inset": k > 0}
-            uniforms["widest_from_inset"] = pixels_from(picture.image.camera, pictures[0].image.camera)
-            for drawing in self._prepared(picture, of_picture, overlays, constants, uniforms):
-                drawing.render(vertices=6 * (columns - 1) * (rows - 1))
+        vertices = 6 * (warp_grid.columns - 1) * (warp_grid.rows - 1)
+        runs: list[_Run] = []
+        for march in (0, 1):
+            key = march, overlays
+            if key not in self._drawings:
+                program = self._context.program("warp.vert", "warp.frag", MARCH=march, **self._constants(overlays))
+                self._drawings[key] = self._context.no_vertices(program)
+            drawing = self._drawings[key]
+            gl.set_uniforms(drawing.program, top_row_first=target.top_row_first)
+            runs.append((drawing.program, partial(drawing.render, vertices=vertices)))
+        return runs
 
-    def _prepared(
+    def _computing(self, target: gl.RenderTarget, overlays: bool) -> list[_Run]:
+        """Return the compute shader for all cells, which writes into a target's textures."""
+        program = self._context.compute_program("warp.comp", GROUP=_GROUP, **self._constants(overlays))
+        self._context.bind_images(target.textures)
+        gl.set_uniforms(program, with_source=len(target.textures) > 2)
+        groups = [-(-side // _GROUP) for side in target.framebuffer.size]
+        return [(program, partial(self._context.compute, program, *groups))]
+
+    def _constants(self, overlays: bool) -> dict[str, float]:
+        return {"OVERLAYS": int(overlays), "CHANNELS": self._channels} | self._panel.constants | _CONSTANTS
+
+    def _copy(self, colour: gl.Texture, target: WarpTarget) -> None:
+        """Copy a picture to a caller's target, whose format and number of samples may be any."""
+        copying = self._context.full_screen("copy.frag")
+        target.framebuffer.viewport = (*target.first_px, *target.size_px)
+        self._context.draw_to(target.framebuffer)
+        gl.bind_textures(copying.program, image=colour)
+        height = 0 if target.top_row_first else target.size_px[1]
+        gl.set_uniforms(copying.program, first_px=target.first_px, turned_height=height)
+        copying.render(vertices=3)
+
+    def _set(
         self,
+        program: gl.Program | gl.ComputeShader,
         picture: WarpedPicture,
         cells: "_Cells",
         overlays: Sequence[SeenOverlay],
-        constants: dict[str, int],
         uniforms: dict[str, Any],
-    ) -> Iterator[gl.VertexArray]:
-        """Return the drawings of a picture, each with its textures and uniforms."""
+    ) -> None:
+        """Give a program the textures and uniforms of a picture."""
         image = picture.image
         gl.read_between_texels(image.colour)
         textures: dict[str, Any] = dict(self._panel.textures)
@@ -218,35 +276,20 @@ class GlWarp:
             places = np.zeros((3 * MAX_OVERLAYS, 3))
             on_quads = [each.place_of_ray @ image.camera.camera_from_image for each in overlays]
             places[: 3 * len(overlays)] = np.concatenate(on_quads)
-        uniforms = uniforms | {"minified_samples_per_axis": float(picture.samples_per_axis)}
-        for march in (0, 1):
-            drawing = self._drawing(MARCH=march, **constants)
-            program = drawing.program
-            gl.bind_textures(
-                program,
-                tiles=cells.ranges.tiles,
-                paths=cells.paths,
-                bends=cells.bends,
-                mixed_bends_and_ranges=cells.mixed_bends_and_ranges,
-                picture=image.colour,
-                inverse_depth=image.inverse_depth,
-                **textures,
-            )
-            if overlays:
-                gl.set_array(program, "overlay_place", places)
-                gl.set_uniforms(program, overlay_count=len(overlays))
-            gl.set_uniforms(program, opaque=0.0 if image.has_alpha else 1.0, **uniforms)
-            yield drawing
-
-    def _drawing(self, **constants: float) -> gl.VertexArray:
-        """Return the shaders' variant for constants that come in the same order always; it is found without a sort."""
-        key = tuple(constants.values())
-        if key not in self._drawings:
-            constants |= {"CHANNELS": self._channels} | self._panel.constants | _CONSTANTS
-            self._drawings[key] = self._context.no_vertices(
-                self._context.program("warp.vert", "warp.frag", **constants)
-            )
-        return self._drawings[key]
+            gl.set_array(program, "overlay_place", places)
+            gl.set_uniforms(program, overlay_count=len(overlays))
+        gl.bind_textures(
+            program,
+            tiles=cells.ranges.tiles,
+            paths=cells.paths,
+            bends=cells.bends,
+            mixed_bends_and_ranges=cells.mixed_bends_and_ranges,
+            picture=image.colour,
+            inverse_depth=image.inverse_depth,
+            **textures,
+        )
+        opaque, samples = 0.0 if image.has_alpha else 1.0, float(picture.samples_per_axis)
+        gl.set_uniforms(program, opaque=opaque, minified_samples_per_axis=samples, **uniforms)
 
 
 @dataclass(frozen=True, eq=False)

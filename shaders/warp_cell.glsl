@@ -1,0 +1,46 @@
+// What the warp knows of a cell of its grid: outputs of cells.frag, read for warp.vert and warp.comp.
+
+uniform sampler2D paths;  // see cells.frag; channels lie one below the other
+uniform sampler2D bends;
+uniform sampler2D mixed_bends_and_ranges;
+uniform float minified_samples_per_axis;  // of a display pixel where the map minifies
+
+// Of the two triangles of a cell, cut from the upper right to the lower left: the same three points in both shaders.
+const ivec2 CORNERS[6] = ivec2[](ivec2(0, 0), ivec2(1, 0), ivec2(0, 1), ivec2(1, 0), ivec2(1, 1), ivec2(0, 1));
+
+struct Cell {
+    vec2 range;  // of inverse depth along the paths
+    float samples_per_axis;
+    bool is_direct;   // the image's depth moves its pixels by less than DIRECT_PX
+    bool is_covered;  // a sharper picture fills it
+};
+
+ivec2 grid_points()
+{
+    return textureSize(paths, 0) / ivec2(1, CHANNELS);
+}
+
+Cell cell_at(ivec2 upper_left)
+{
+    Cell cell = Cell(vec2(MISSING, 0.0), 1.0, true, false);
+    for (int channel = 0; channel < CHANNELS; ++channel) {
+        vec2 range = fetched(mixed_bends_and_ranges, upper_left + ivec2(0, channel * grid_points().y)).zw;
+        cell.is_covered = cell.is_covered || range.x > 0.5 * MISSING;
+        cell.samples_per_axis = range.x < 0.0 ? minified_samples_per_axis : cell.samples_per_axis;
+        range = range.x < 0.0 ? -1.0 - range : range;
+        cell.is_direct = cell.is_direct && range.x >= range.y;
+        cell.range = vec2(min(cell.range.x, min(range.x, range.y)), max(cell.range.y, max(range.x, range.y)));
+    }
+    return cell;
+}
+
+// 1 if the three points of a cell's first or second triangle have rays.
+float is_triangle_known(int channel, ivec2 upper_left, int triangle)
+{
+    float known = 1.0;
+    for (int k = 3 * triangle; k < 3 * triangle + 3; ++k) {
+        vec4 path = fetched(paths, upper_left + CORNERS[k] + ivec2(0, channel * grid_points().y));
+        known = path.x < 0.5 * MISSING ? known : 0.0;
+    }
+    return known;
+}

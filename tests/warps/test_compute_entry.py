@@ -1,0 +1,135 @@
+"""The warp as a compute shader, which software renderers do not choose, against the warp as fragment shaders.
+
+The other tests of the warp compare the fragment shaders with closed forms and ray-traced frames.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gl_scenes
+import numpy as np
+import pytest
+from gl_caller import Caller, assert_same
+from numpy.typing import NDArray
+from present import present
+from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
+from warps.test_insets import inset_of
+
+from benchmarks.scene_source import SceneSource
+from wlr_render.geometry import transforms
+from wlr_render.gl.context import GlContext
+from wlr_render.warp.compositor import Compositor
+from wlr_render.warp.panel_light import PanelLight
+from wlr_render.warp.warp import WarpStatus
+
+pytestmark = pytest.mark.gl
+
+WIDTH, HEIGHT = SMALL
+MOVED = HEAD @ gl_scenes.at(0.01, -0.01, 0.02, transforms.rotation_about("y", 0.02))
+TABLE = np.linspace(0, 1, 256)[:, None] ** np.array([1.8, 2.0, 2.4])
+Compose = Callable[[Compositor], Any]
+
+
+@pytest.fixture
+def in_both(compositor: Callable[..., Any], gl_context: GlContext) -> Iterator[Callable[..., list[Any]]]:
+    """Composes in both ways with compositors that share no texture; results of fragment shaders come first."""
+
+    def compose(run: Compose, channels: int = 1, **options: Any) -> list[Any]:
+        found = []
+        for gl_context.computes in (False, True):
+            made = compositor({"right": [planar()] * channels}, **options)
+            draw(made, SceneSource(made, scene(wall=False)), HEAD, viewpoint(planar()))
+            found.append(run(made))
+        return found
+
+    yield compose
+    gl_context.computes = False
+
+
+def with_overlay(made: Compositor) -> None:
+    picture = np.random.default_rng(1).integers(0, 255, (40, 30, 4), dtype=np.uint8)
+    at = np.eye(4)
+    at[:3, 3] = 0.05, 0.0, -0.8
+    made.submit_overlay(picture, (0.3, 0.2), device_from_quad=at)
+
+
+def with_inset(made: Compositor) -> None:
+    (camera,) = made.begin_frame(HEAD, viewpoint(planar())).values()
+    source = SceneSource(made, scene(wall=False))
+    source.submit(camera)
+    inset = inset_of(camera, 0.6, 2)
+    colour = np.random.default_rng(2).integers(0, 255, (*inset.size_px[::-1], 3), dtype=np.uint8)
+    made.submit(colour, None, inset=inset)
+
+
+@pytest.mark.parametrize(
+    ("options", "prepare", "last_row"),
+    [
+        ({}, None, None),
+        ({"channels": 3, "resolution": 2.0}, None, MOVED),
+        (
+            {"panel": PanelLight(bits=10, uniformity=np.linspace(0.5, 1, WIDTH * HEIGHT).reshape(HEIGHT, WIDTH))},
+            None,
+            None,
+        ),
+        ({"panel": PanelLight(bits=16, encoding="linear")}, None, None),
+        ({"panel": PanelLight(encoding=TABLE)}, None, None),
+        ({}, with_overlay, None),
+        ({"channels": 3}, with_inset, MOVED),
+    ],
+    ids=["plain", "three colours, filtered, by rows", "10 bits, uneven", "16 bits", "table", "overlay", "inset"],
+)
+def test_both_entries_show_the_same(
+    in_both: Callable[..., list[Any]],
+    options: dict[str, Any],
+    prepare: Callable[[Compositor], None] | None,
+    last_row: Any,
+) -> None:
+    def run(made: Compositor) -> tuple[NDArray[Any], ...]:
+        if prepare is not None:
+            prepare(made)
+        frame = made.compose(pose=MOVED if last_row is None else HEAD, pose_at_last_row=last_row, with_source=True)
+        return frame.read(), frame.status(), present(frame.source())
+
+    (colour, status, source), (computed, computed_status, computed_source) = in_both(run, **options)
+    assert colour.dtype == computed.dtype
+    assert (status == computed_status).mean() > 0.999
+    same = (status == computed_status) & (status <= WarpStatus.DISOCCLUDED)
+    close = np.abs(source - computed_source)[same].max(axis=-1) < 0.01
+    assert close.mean() > 0.999
+    code = {np.uint8: 1.0, np.uint16: 65.1, np.float16: 1e-3}[colour.dtype.type]
+    assert np.abs(colour[same].astype(float) - computed[same])[close].max() <= code
+    assert colour[same].std() > 10 * code
+
+
+@pytest.mark.parametrize("samples", [0, 4])
+def test_a_picture_is_copied_into_a_target_upright(in_both: Callable[..., list[Any]], samples: int) -> None:
+    def run(made: Compositor) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        with made.context.drawing() as ctx:
+            target, shown = ctx.simple_framebuffer(SMALL, samples=samples), ctx.simple_framebuffer(SMALL)
+        made.compose(target)
+        with made.context.drawing() as ctx:
+            ctx.copy_framebuffer(shown, target)
+            pixels = np.frombuffer(shown.read(components=3), np.uint8).reshape(HEIGHT, WIDTH, 3)[::-1]
+        return pixels, made.compose().read()
+
+    (_, drawn), (shown, computed) = in_both(run)
+    np.testing.assert_array_equal(shown, computed)
+    assert np.abs(drawn.astype(int) - computed).max() <= 1
+    assert computed.std() > 10
+
+
+def test_a_program_finds_its_images_as_they_were(caller: Caller, compositor: Callable[..., Any]) -> None:
+    caller.set_odd_values()
+    before = caller.state()
+    made = compositor(planar(), context=caller.ctx)
+    made.context.computes = True
+    draw(made, SceneSource(made, scene()), HEAD, viewpoint(planar()))
+    made.compose(with_source=True)
+    assert_same(caller.state(), before)
+    with made.context.drawing() as ctx:
+        target = ctx.simple_framebuffer(SMALL)
+    made.compose(target)
+    assert_same(caller.state(), before)
+    made.release()
+    assert_same(caller.state(), before)
