@@ -86,7 +86,7 @@ def raw_embree(scene: Scene, origin: Float32Array, direction: Float32Array) -> C
 
 
 def bare_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) -> Callable[[], object]:
-    """Draw a plain textured pass at the display's size, warped by a map (height, width, 2) uploaded once; read it back.
+    """Draw a plain textured pass of a view, warped by a map (height, width, 2) uploaded once; read it back.
 
     It keeps no depth, and neither head nor eye moves: the minimal work of a fixed distortion correction per frame.
     Colours are filtered as stored.
@@ -103,7 +103,7 @@ def bare_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) -> C
     scene_pass["clip_from_world"].write(np.ascontiguousarray(_clip_from_world(view).T, np.float32))
     scene_pass["towards_light"].value = (0.36, 0.8, 0.48)
     warp_pass = context.program(vertex_shader=shader_source("full_screen.vert", {}), fragment_shader=_WARP)
-    picture = context.texture(source_uv.shape[1::-1], 4)
+    picture = context.texture(view.camera.size_px, 4)
 
     def draw() -> None:
         surface.use(0)
@@ -151,7 +151,7 @@ def shaded_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) ->
         scene_pass[name].write(np.array(each, np.float32).tobytes())
     scene_pass["has_texture"].value, scene_pass["base_texture"].value = True, 0
     warp_pass = context.program(vertex_shader=shader_source("full_screen.vert", {}), fragment_shader=_LINEAR_WARP)
-    picture = context.texture(source_uv.shape[1::-1], 4, internal_format=_SRGB8_ALPHA8)
+    picture = context.texture(view.camera.size_px, 4, internal_format=_SRGB8_ALPHA8)
 
     def draw() -> None:
         surface.use(0)
@@ -183,7 +183,7 @@ def _frame(
     height, width = source_uv.shape[:2]
     full_screen = context.vertex_array(warp_pass, [])
     source = context.texture((width, height), 2, np.ascontiguousarray(source_uv), dtype="f4")
-    intermediate = context.framebuffer([picture], context.depth_renderbuffer((width, height)))
+    intermediate = context.framebuffer([picture], context.depth_renderbuffer(picture.size))
     display = context.framebuffer([context.texture((width, height), 4)])
     warp_pass["picture"].value, warp_pass["source"].value = 0, 1
     result = bytearray(width * height * 4)

@@ -56,12 +56,12 @@ def ray_rows(work: Workload) -> list[list[Cell]]:
     ]
 
 
-def raster_part(work: Workload, backend: str) -> Part:
-    """Time the whole raster frame, against bare OpenGL passes with a fixed map."""
+def raster_part(work: Workload, backend: str, resolution: float = 1.0) -> Part:
+    """Time the whole raster frame, against bare OpenGL passes of the same resolution with a fixed map."""
     raster = open_scene_raster(work.scene, backend)
     if raster is None:
         return Part()
-    painter = WarpedPainter(work.mappings, raster)
+    painter = WarpedPainter(work.mappings, raster, resolution)
     name = "offline raster frame: new map, picture, warp, read-back"
     if raster.backend != "egl":
         (frame_ms,) = alternately(
@@ -70,7 +70,7 @@ def raster_part(work: Workload, backend: str) -> Part:
         return Part([Figure(name, in_ms(frame_ms), "its baseline needs EGL")])
     panel, centre = work.mappings.display.panel, work.mappings.eye_box.centre
     drawn_from = painter.view(centre, HEAD_POSE)
-    view = replace(drawn_from, camera=_at_display_size(drawn_from.camera, panel))
+    view = replace(drawn_from, camera=_at_display_size(drawn_from.camera, panel, resolution))
     fixed = painter.paint(centre, HEAD_POSE, with_geometry=True).source
     assert fixed is not None
     source_uv = np.nan_to_num(fixed[..., :2] / [drawn_from.camera.width_px, drawn_from.camera.height_px])
@@ -98,8 +98,9 @@ def raster_part(work: Workload, backend: str) -> Part:
     )
 
 
-def _at_display_size(camera: Pinhole, panel: Panel) -> Pinhole:
-    return Pinhole(panel.width_px, panel.height_px, camera.tangent_min, camera.tangent_max)
+def _at_display_size(camera: Pinhole, panel: Panel, resolution: float = 1.0) -> Pinhole:
+    width, height = (round(resolution * count) for count in (panel.width_px, panel.height_px))
+    return Pinhole(width, height, camera.tangent_min, camera.tangent_max)
 
 
 def map_rows(work: Workload) -> list[list[Cell]]:

@@ -92,7 +92,7 @@ def test_the_picture_and_the_maps_are_those_of_the_three_colours(
     render(replace(colourful, per_colour=True, maps="tiff"))
     channels, raster = open_colours(colourful.headset), SceneRaster(gl_context, load_scene(colourful.scene))
     drawn = read_png(colourful.out / "right-000000.png")
-    painter = WarpedPainter(channels, raster)
+    painter = WarpedPainter(channels, raster, colourful.resolution)
     frame = painter.paint(channels[0].eye_box.centre, np.eye(4), with_geometry=True)
     np.testing.assert_array_equal(drawn, frame.colour)
     assert (drawn[..., 0] != drawn[..., 2]).any()

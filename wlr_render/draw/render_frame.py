@@ -17,6 +17,10 @@ from wlr_render.warp.ray_map import checked_viewpoint
 
 FrameMethod = Literal["raytrace", "raster"]
 
+_RESOLUTION = 2.75
+"""Resolution of the intermediate image, which covers more than the panel's field of view: North Star's has 4 pixels to
+a pixel of the panel."""
+
 _renderer_of = lru_cache(maxsize=2)(RayRenderer)  # keeps the acceleration structure of the scene
 
 
@@ -71,7 +75,7 @@ def render(
     if raster is None:
         return _traced_painter(eye, scene, shadows, supersample).paint(at, pose, with_geometry)
     try:
-        frame = WarpedPainter(eye, raster).paint(at, pose, with_geometry)
+        frame = WarpedPainter(eye, raster, _RESOLUTION).paint(at, pose, with_geometry)
         _ = frame.colour  # is read while the context exists
         return frame
     finally:

@@ -114,10 +114,14 @@ class RenderOptions(SpreadOptions):
     ] = "own"
     resolution: Annotated[
         float,
-        described("Resolution of the intermediate image; 1: about as fine as the panel (raster only).", group=_DRAWING),
+        described(
+            "Resolution of the intermediate image along each axis; 1: about as many pixels as the panel, with jagged "
+            "edges (raster only).",
+            group=_DRAWING,
+        ),
         Range(above=0, at_most=4),
         OnlyWith("method", ("raster",)),
-    ] = 1.0
+    ] = 2.75
     maps: Annotated[
         Literal["tiff", "pfm"] | None,
         described(
