@@ -91,7 +91,7 @@ def bare_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) -> C
     It keeps no depth, and neither head nor eye moves: the minimal work of a fixed distortion correction per frame.
     Colours are filtered as stored.
     """
-    context = _context()
+    context = own_context()
     mesh = in_world(scene)
     scene_pass = context.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
     uv = np.zeros((len(mesh.position), 2), np.float32) if mesh.uv is None else mesh.uv
@@ -117,7 +117,7 @@ def shaded_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) ->
 
     For a scene of one textured mesh under directional lights.
     """
-    context = _context()
+    context = own_context()
     for path in atomic_files.resource("shaders").glob("*.glsl"):
         context.includes[path.name] = path.read_text(encoding="utf-8")
     (instance,), suns = scene.instances, [light for light in scene.lights if light.kind == "directional"]
@@ -171,7 +171,8 @@ def in_world(scene: Scene) -> Mesh:
     )
 
 
-def _context() -> Any:
+def own_context() -> Any:
+    """Return a new OpenGL context of ModernGL."""
     settings: Any = {"standalone": True, "backend": "egl", "require": 430}
     return moderngl.create_context(**settings)
 

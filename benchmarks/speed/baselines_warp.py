@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.speed.baselines import own_context
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.numerics.arrays import Float32Array
 
@@ -97,7 +98,7 @@ def mesh_warp(picture: Uint8Array, channel_uv: Float32Array, size: tuple[int, in
             from edge to edge of the display, top row first.
         size: (width, height) of the display.
     """
-    context = _context()
+    context = own_context()
     rows, columns = channel_uv.shape[1:3]
     x, y = np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows))
     vertices = np.concatenate([x[None, ..., None], y[None, ..., None]], axis=-1)
@@ -135,7 +136,7 @@ def image_maps_warp(
         size: (width, height) of the display.
         drawn_from_newer: (3, 3) on texture coordinates (u, v, 1), from `timewarp`; set in every frame.
     """
-    context = _context()
+    context = own_context()
     shader = context.compute_shader(_IMAGE_MAPS)
     maps = [_texture(context, each) for each in channel_uv]
     source, target = _texture(context, picture), context.texture(size, 4)
@@ -179,13 +180,6 @@ def remap_warp(picture: Uint8Array, source_px: Float32Array) -> Callable[[], Uin
     in_opencv = np.ascontiguousarray(source_px - np.float32(0.5))
     result = np.empty((*source_px.shape[:2], 3), np.uint8)
     return lambda: np.asarray(cv2.remap(picture, in_opencv, None, cv2.INTER_LINEAR, dst=result), np.uint8)
-
-
-def _context() -> Any:
-    import moderngl
-
-    settings: Any = {"standalone": True, "backend": "egl", "require": 430}
-    return moderngl.create_context(**settings)
 
 
 def _texture(context: Any, content: Uint8Array | Float32Array) -> Any:

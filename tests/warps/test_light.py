@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gl_caller import open_other
 from gl_scenes import at
-from hardware import HALF_FLOAT, allowed
+from hardware import HALF_FLOAT, allowed, filter_of
 from numpy import floating, number
 from numpy.typing import ArrayLike, NDArray
 from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
@@ -194,13 +194,16 @@ def test_uniformity_multiplies_the_light(
         codes = np.linspace(0, 1, 256)
         light = np.stack([np.interp(light[..., k], encoding[:, k], codes) for k in range(3)], axis=-1)
     pixels = shown(made, flat_image_headset, grey(0.8, np.float32), encoding="linear")[..., :3]
-    np.testing.assert_allclose(pixels[INSIDE], light[INSIDE], atol=1e-3)
+    # The factors are a texture, read at a place between the vertices of the warp grid.
+    filtered = filter_of(light)[INSIDE]
+    assert (np.abs(pixels[INSIDE] - light[INSIDE]) <= allowed(made.context, 1e-3, filtered)).all()
     with made.context.drawing() as ctx:
         upright = ctx.simple_framebuffer(SMALL)
     made.compose(upright)
     with made.context.drawing():
         shown_there = np.frombuffer(upright.read(components=3), np.uint8).reshape(*SMALL[::-1], 3)[::-1]
-    np.testing.assert_allclose(shown_there[INSIDE] / 255, light[INSIDE], atol=1.5 / 255)
+    most = allowed(made.context, 1.5 / 255, filtered)
+    assert (np.abs(shown_there[INSIDE] / 255 - light[INSIDE]) <= most).all()
 
 
 def test_a_texture_made_between_frames_does_not_take_the_maps_place(
