@@ -18,8 +18,6 @@ FILTER_WEIGHT = 1 / 256
 """Step of the weights by which a texture filter mixes two texels, along each axis."""
 HALF_FLOAT = 2.0**-10
 """Largest step of half floats, relative to the number."""
-FLOAT = 2.0**-24
-"""Largest rounding of a float32, relative to the number."""
 SRGB_DECODE = 0.5
 """Error, in sRGB codes of 8 bits, with which a texture unit may decode a texel (Direct3D 11.3 allows it)."""
 
