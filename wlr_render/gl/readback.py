@@ -87,7 +87,8 @@ class Readback:
             with self._context.drawing():
                 if not self._fence.is_passed(_FOREVER_NS):
                     raise GlError(f"the picture was not read within ten seconds ({self._context.renderer}).")
-                rgba = np.frombuffer(self._buffer.read(), self._dtype).reshape(self._shape)
+                rgba = np.empty(self._shape, self._dtype)
+                self._buffer.read_into(rgba)
                 self._fence.release()
             self._pixels = rgba[..., :3] if self._dtype == np.float16 else rgb_of_rgba(rgba)
         return self._pixels
