@@ -6,6 +6,7 @@ Both sides of a comparison are timed alternately, so that a busy machine slows b
 import multiprocessing
 import resource
 import sys
+import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -22,12 +23,16 @@ from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.draw.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.gl.gl import open_context
+from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles
+from wlr_render.jobs.frame_plan import PlannedFrame
+from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.mappings import Eye, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell
 from wlr_render.warp.ray_map import NEAREST_M, choose_plan, ray_map, solve_every_pixel
 
 RASTER_GOAL = 1.6
+_SEQUENCES = 2  # timed sequences of frames, each with a frame for every place of the workload
 
 
 def ray_rows(work: Workload) -> list[list[Cell]]:
@@ -101,6 +106,26 @@ def raster_part(work: Workload, backend: str, resolution: float = 1.0) -> Part:
 def _at_display_size(camera: Pinhole, panel: Panel, resolution: float = 1.0) -> Pinhole:
     width, height = (round(resolution * count) for count in (panel.width_px, panel.height_px))
     return Pinhole(width, height, camera.tangent_min, camera.tangent_max)
+
+
+def written_rows(work: Workload, backend: str) -> list[list[Cell]]:
+    """Frames a second of `render` with PNG files at resolution 1, against frames that are drawn and read back alone."""
+    raster = open_scene_raster(work.scene, backend)
+    if raster is None:
+        return []
+    plan = [PlannedFrame(index, 0.0, "right", place, HEAD_POSE) for index, place in enumerate(work.viewpoints)]
+    opened = OpenedFiles({"right": (work.mappings,)}, {}, work.scene, {})
+    painter = WarpedPainter(work.mappings, raster, resolution=1.0)
+    with raster.context, tempfile.TemporaryDirectory() as folder:
+        options = RenderOptions("", "", resolution=1.0, out=Path(folder))
+        drawing = FrameDrawing(options, opened, raster)
+        written_ms, drawn_ms = alternately(
+            lambda _: list(drawing.frames(plan)),
+            lambda _: [painter.paint(frame.viewpoint, frame.world_from_device).colour for frame in plan],
+            rounds=_SEQUENCES,
+        )
+    rates = [f"{1e3 * len(plan) / ms:.1f} frames/s" for ms in (written_ms, drawn_ms)]
+    return [["frames of `render` with their PNG; drawn alone", *rates, written_ms / drawn_ms, ">= 50 frames/s"]]
 
 
 def map_rows(work: Workload) -> list[list[Cell]]:

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from benchmarks.speed import accuracy_tables, eye_tracking, fixed_maps, host, pictures, stages
 from benchmarks.speed.figures import Measurement, Part, summary_table
 from benchmarks.speed.frozen_map import frozen_map_table
-from benchmarks.speed.offline import map_rows, memory_rows, raster_part, ray_rows
+from benchmarks.speed.offline import map_rows, memory_rows, raster_part, ray_rows, written_rows
 from benchmarks.speed.record import record
 from benchmarks.speed.timing import GPU_ROUNDS, ROUNDS
 from benchmarks.speed.workload import PANEL, Workload, bench_model, workload
@@ -140,7 +140,7 @@ def _offline(work: Workload, backend: str) -> list[Measurement]:
     panel = work.mappings.display.panel
 
     def rays() -> Part:
-        rows = [*ray_rows(work), *map_rows(work), *memory_rows(backend)]
+        rows = [*ray_rows(work), *written_rows(work, backend), *map_rows(work), *memory_rows(backend)]
         title = f"Offline, {panel.width_px} x {panel.height_px}, {work.scene.triangle_count} triangles"
         return Part(tables=[ReportTable(title, ("what", "ours", "baseline", "ratio", "goal"), rows, (_RAY_NOTE,))])
 

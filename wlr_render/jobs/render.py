@@ -1,8 +1,8 @@
 """Draw frames for a still or moving wearer, one PNG per eye and time stamp.
 
-Frames are written atomically and listed with their facts when they are finished, so that an interrupted sequence
-resumes where it stopped. `metadata.jsonl` has a row for each frame in the end. A frame does not depend on previously
-drawn frames. Layers and labels of a frame are in `frame_labels.py`.
+Frames are written atomically, and listed with their facts when all their files are there, so that an interrupted
+sequence resumes where it stopped. `metadata.jsonl` has a row for each frame in the end. A frame does not depend on
+previously drawn frames. Layers and labels of a frame are in `frame_labels.py`.
 """
 
 import contextlib

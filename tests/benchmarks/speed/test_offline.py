@@ -1,11 +1,18 @@
 """The measuring, not the measurements: an error that is one."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from present import as_number
 
 from benchmarks.speed import offline
+from benchmarks.speed.workload import Workload, bench_scene
+from wlr_render.gl.context import GlContext
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.scene.image_files import write_png
 from wlr_render.warp.ray_map import NEAREST_M, RayMap, RayMapPlan, ray_map
 
 
@@ -30,3 +37,22 @@ def test_the_maps_error_is_that_of_its_worst_pixel(
     monkeypatch.setattr(offline, "ray_map", with_a_fault)
     error = offline.map_error_px(small_panel_model, small_panel_model.eye_box.centre)
     assert error == pytest.approx(1 / 3, rel=0.1)
+
+
+@pytest.mark.gl
+def test_frames_are_timed_with_their_files_and_without(
+    small_panel_model: Eye, gl_context: GlContext, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = list[str]()
+
+    def spy(path: Path, colour: NDArray[np.uint8]) -> Path:
+        written.append(path.name)
+        return write_png(path, colour)
+
+    monkeypatch.setattr("wlr_render.jobs.frame_drawing.write_png", spy)
+    work = Workload({"right": small_panel_model}, bench_scene(2000), np.zeros((2, 3)))
+    ((_, with_files, alone, ratio, _),) = offline.written_rows(work, "auto")
+    assert str(with_files).endswith(" frames/s")
+    assert str(alone).endswith(" frames/s")
+    assert as_number(ratio) > 0
+    assert sorted(written) == sorted(["right-000000.png", "right-000001.png"] * (offline._SEQUENCES + 1))
