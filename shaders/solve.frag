@@ -1,4 +1,5 @@
 #version 410
+#include "texels.glsl"
 // The world ray of each point of a grid on the panel under a planar bundle; warp/gl_ray_maps.py has the words.
 
 uniform sampler2D terms;  // coefficients at each point: rows of t, A and B, two terms in a texel, the highest powers first
@@ -56,7 +57,7 @@ vec2 polynomial(int row_of_point, vec2 scaled, out mat2 slope)
     for (int i = DEGREE; i >= 0; --i) {
         vec2 row = vec2(0.0), by_y = vec2(0.0);
         for (int j = DEGREE - i; j >= 0; j -= 2, ++at.x) {
-            vec4 two = texelFetch(terms, at, 0);
+            vec4 two = fetched(terms, at);
             by_y = by_y * s.y + row;
             row = row * s.y + two.xy;
             by_y = by_y * s.y + row;

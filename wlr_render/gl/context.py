@@ -15,7 +15,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.gl.host_checks import ErrorReader, GlError, error_name
 from wlr_render.gl.native_contexts import CurrentContext
 from wlr_render.gl.ownership import ContextOwner
-from wlr_render.gl.programs import COMPUTE_VERSION, forget_textures, shader_source
+from wlr_render.gl.programs import COMPUTE_VERSION, forget_textures, pass_source, shader_source
 
 Texture = moderngl.Texture
 TextureArray = moderngl.TextureArray
@@ -28,6 +28,9 @@ Sampler = moderngl.Sampler
 Buffer = moderngl.Buffer
 
 _Object = TypeVar("_Object")
+
+GROUP = 8
+"""Side of a work group of compute shaders, in texels."""
 
 _SOFTWARE = "llvmpipe", "softpipe", "swrast", "swiftshader"
 _FRAMEBUFFER = 0x8D40
@@ -50,7 +53,8 @@ class GlContext:
         largest_side_px: limit of OpenGL on a texture's or framebuffer's width and height.
         host_is_clean: whether the host has promised OpenGL's default state, see `adopt_context`.
         names_version: counts the calls of `forget_names`.
-        computes: whether the warp runs as a compute shader: a GPU with OpenGL 4.3. Software renderers compute slowly.
+        computes: whether the warp and its passes run as compute shaders: a GPU with OpenGL 4.3. Software renderers
+            compute slowly.
     """
 
     def __init__(
@@ -189,26 +193,36 @@ class GlContext:
         return self._programs[key]
 
     def compute_program(self, name: str, /, **constants: float) -> ComputeShader:
-        """Return the compute shader of a file in shaders/, compiled once for each set of constants; OpenGL 4.3."""
+        """Return the compute shader of a file in shaders/, compiled once for each set of constants; OpenGL 4.3.
+
+        Args:
+            name: of a compute shader, or of a full-screen fragment shader without derivatives.
+            constants: as `program`.
+        """
         key = name, *sorted(constants.items())
         if key not in self._compute_programs:
-            made = self._ctx.compute_shader(shader_source(name, constants))
-            self._compute_programs[key] = self.tracked(made)
+            is_pass = name.endswith(".frag")
+            text = pass_source(name, GROUP, constants) if is_pass else shader_source(name, constants | {"GROUP": GROUP})
+            self._compute_programs[key] = self.tracked(self._ctx.compute_shader(text))
         return self._compute_programs[key]
 
-    def bind_images(self, textures: Sequence[Texture]) -> None:
-        """Give compute shaders the textures that `target` made, at most IMAGES, to write to as images 0, 1, ..."""
+    def compute(self, program: ComputeShader, textures: Sequence[Texture]) -> None:
+        """Run a compute shader for each texel of textures that `target` made, its images 0, 1, ...: at most IMAGES.
+
+        What comes after sees what it has written.
+        """
         for unit, texture in enumerate(textures):
             texture.bind_to_image(unit, read=False, write=True, format=_RGB10_A2 if texture.extra == _RGB10_A2 else 0)
-
-    def compute(self, program: ComputeShader, *groups: int) -> None:
-        """Run a compute shader for (columns, rows) of work groups; what comes after sees what it has written."""
-        program.run(*groups)
+        program.run(*(-(-side // GROUP) for side in textures[0].size))
         self._ctx.memory_barrier()
+
+    def full_screen_program(self, fragment: str, /, **constants: float) -> Program:
+        """Return the program that runs a fragment shader for each pixel of a target: draw 3 vertices."""
+        return self.program("full_screen.vert", fragment, **constants)
 
     def full_screen(self, fragment: str, /, **constants: float) -> VertexArray:
         """One triangle over the whole target that runs a fragment shader for each pixel: `.render(vertices=3)`."""
-        return self.no_vertices(self.program("full_screen.vert", fragment, **constants))
+        return self.no_vertices(self.full_screen_program(fragment, **constants))
 
     def no_vertices(self, program: Program) -> VertexArray:
         """Return a program that draws from `gl_VertexID` alone: `.render(vertices=n)`; made once for each program."""

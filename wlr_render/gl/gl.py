@@ -89,6 +89,34 @@ class RenderTarget:
     textures: tuple[Texture, ...]
 
 
+class Pass:
+    """A full-screen shader that fills a target of ours; it is a compute shader where the context computes."""
+
+    def __init__(self, context: GlContext, name: str, /, **constants: float) -> None:
+        """Compile a fragment shader of shaders/ that takes no derivatives."""
+        self._context, self._name, self._constants = context, name, constants
+        self._programs: dict[bool, ComputeShader | Program] = {}
+        _ = self.program  # compiled now, in no frame
+
+    @property
+    def program(self) -> ComputeShader | Program:
+        """The program, for its textures and uniforms."""
+        computes = self._context.computes
+        if computes not in self._programs:
+            make = self._context.compute_program if computes else self._context.full_screen_program
+            self._programs[computes] = make(self._name, **self._constants)
+        return self._programs[computes]
+
+    def fill(self, target: RenderTarget) -> None:
+        """Compute all texels of a target."""
+        program = self.program
+        if isinstance(program, ComputeShader):
+            self._context.compute(program, target.textures)
+        else:
+            self._context.draw_to(target.framebuffer)
+            self._context.no_vertices(program).render(vertices=3)
+
+
 class RenderTargets:
     """Targets by name; a target is made once for each size, and the next drawing overwrites it."""
 

@@ -27,6 +27,25 @@ def shader_source(name: str, constants: dict[str, float]) -> str:
     return "\n".join([f"#version {version}", *defines, "#line 2", _with_includes(text)])
 
 
+_OUTPUT = re.compile(r"^layout\(location = (\d)\) out (\w+) (\w+);", re.MULTILINE)
+_WIDENED = {"uint": "uvec4({})", "float": "vec4({})", "vec2": "vec4({}, 0.0, 0.0)", "vec4": "{}"}
+
+
+def pass_source(name: str, group: int, constants: dict[str, float]) -> str:
+    """Text of a full-screen fragment shader as a compute shader, in groups of this side: its outputs are images."""
+    _, text = shader_source(name, constants).split("\n", 1)
+    outputs = _OUTPUT.findall(text)
+    kinds = {kind: "uimage2D" if kind == "uint" else "image2D" for kind in _WIDENED}
+    images = [f"layout(binding = {k}) uniform writeonly {kinds[kind]} image_{k};" for k, kind, _ in outputs]
+    stores = [f"imageStore(image_{k}, texel, {_WIDENED[kind].format(each)});" for k, kind, each in outputs]
+    before = [f"#version {COMPUTE_VERSION}", f"layout(local_size_x = {group}, local_size_y = {group}) in;"]
+    after = ["void main() {", "ivec2 texel = ivec2(gl_GlobalInvocationID.xy);"]
+    after += ["if (any(greaterThanEqual(texel, imageSize(image_0)))) return;"]
+    after += ["at_fragment = vec4(vec2(texel) + 0.5, 0.0, 1.0);", "fill();", *stores, "}", ""]
+    text = _OUTPUT.sub(r"\2 \3;", text).replace("void main()", "void fill()").replace("gl_FragCoord", "at_fragment")
+    return "\n".join([*before, *images, "vec4 at_fragment;", text, *after])
+
+
 def _with_includes(text: str) -> str:
     """Put the text of each file that is included in place of its line, and of the files that it includes."""
     return _INCLUDE.sub(lambda found: _with_includes(_text(found[1])), text)

@@ -106,7 +106,7 @@ class GlPlanarSolver:
         constants |= {"MAX_ITERATIONS": MAX_ITERATIONS, "LAST_STEP_M": LAST_STEP_M, "SCALED_LIMIT": SCALED_LIMIT}
         constants |= {"DEGREE": self._degree, "TEXELS": terms.shape[3]}
         with context.drawing():
-            self._solve = context.full_screen("solve.frag", **constants)
+            self._solve = gl.Pass(context, "solve.frag", **constants)
             self._target = gl.RenderTargets(context).get("rays", warp_grid.size, (4, "f4"), (1, "u1"))
             self._texture = context.target((terms.shape[2] * terms.shape[3], 3 * warp_grid.rows), 4, "f4")
             self._texture.write(terms)
@@ -141,7 +141,6 @@ class GlPlanarSolver:
         display, see_through = self._display, self._see_through
         program = self._solve.program
         with self._context.drawing():
-            self._context.draw_to(self._target.framebuffer)
             gl.bind_textures(program, terms=self._texture)
             gl.set_uniforms(
                 program,
@@ -160,7 +159,7 @@ class GlPlanarSolver:
                 box = model.modelled.box
                 gl.set_array(program, name, [0.5 * (box.low + box.high), box.per_unit])
             gl.set_matrix(program, "camera_from_device", self._device_from_camera.T)
-            self._solve.render(vertices=3)
+            self._solve.fill(self._target)
         slope_offset, status = self._target.textures
         return GpuRayMap(self._warp_grid, slope_offset, self._context, viewpoint, self._device_from_camera, status)
 

@@ -40,9 +40,6 @@ _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
 }
 
 
-_GROUP = 8
-"""Side of a work group of the compute shader, in pixels."""
-
 _Run = tuple[gl.Program | gl.ComputeShader, Callable[[], object]]
 """A program, and what runs it when its textures and uniforms are set."""
 
@@ -240,11 +237,9 @@ class GlWarp:
 
     def _computing(self, target: gl.RenderTarget, overlays: bool) -> list[_Run]:
         """Return the compute shader for all cells, which writes into a target's textures."""
-        program = self._context.compute_program("warp.comp", GROUP=_GROUP, **self._constants(overlays))
-        self._context.bind_images(target.textures)
+        program = self._context.compute_program("warp.comp", **self._constants(overlays))
         gl.set_uniforms(program, with_source=len(target.textures) > 2)
-        groups = [-(-side // _GROUP) for side in target.framebuffer.size]
-        return [(program, partial(self._context.compute, program, *groups))]
+        return [(program, partial(self._context.compute, program, target.textures))]
 
     def _constants(self, overlays: bool) -> dict[str, float]:
         return {"OVERLAYS": int(overlays), "CHANNELS": self._channels} | self._panel.constants | _CONSTANTS
@@ -307,8 +302,9 @@ class _GlCells:
     """Draws `cells.frag` for one picture of a frame: the widest, or an inset; textures are reused between frames."""
 
     def __init__(self, context: gl.GlContext, channels: int) -> None:
-        self._context, self._channels = context, channels
+        self._channels = channels
         self._ranges, self._targets = GlDepthRanges(context), gl.RenderTargets(context)
+        self._filling = gl.Pass(context, "cells.frag", CHANNELS=channels, **_CONSTANTS)
 
     def draw(
         self,
@@ -325,8 +321,7 @@ class _GlCells:
         matrices = image.camera.image_from_camera @ image_from_ray_map
         by_rows = matrices.ndim == 3
         cells = self._targets.get("cells", (warp_grid.columns, warp_grid.rows * self._channels), *[(4, "f4")] * 3)
-        drawing = self._context.full_screen("cells.frag", CHANNELS=self._channels, **_CONSTANTS)
-        program = drawing.program
+        program = self._filling.program
         rays = [each.slope_offset for each in ray_maps]
         # The tiles stay on their unit for the warp. Unused samplers share a texture: they must not read a target.
         unused = dict.fromkeys(("row_matrices", "inset_paths", "inset_ranges"), rays[0])
@@ -341,12 +336,11 @@ class _GlCells:
             textures |= {"inset_paths": inset.paths, "inset_ranges": inset.mixed_bends_and_ranges}
             gl.set_uniforms(program, inset_size_px=tuple(map(float, inset.size_px)))
         gl.set_uniforms(program, has_row_matrices=by_rows, is_inset=is_inset, has_inset=inset is not None)
-        self._context.draw_to(cells.framebuffer)
         gl.bind_textures(program, **textures)
         per_cell = (display_size_px[0] / (warp_grid.columns - 1), display_size_px[1] / (warp_grid.rows - 1))
         size_px = image.inverse_depth.size
         gl.set_uniforms(program, size_px=tuple(map(float, size_px)), display_px_per_cell=per_cell)
-        drawing.render(vertices=3)
+        self._filling.fill(cells)
         paths, bends, mixed_bends_and_ranges = cells.textures
         return _Cells(paths, bends, mixed_bends_and_ranges, ranges, size_px)
 

@@ -92,11 +92,11 @@ class GlDepthRanges:
     """Computes `DepthRanges`; textures are reused between images of one size."""
 
     def __init__(self, context: gl.GlContext) -> None:
-        self._context, self._targets = context, gl.RenderTargets(context)
+        self._targets = gl.RenderTargets(context)
         self._last: tuple[GpuImage, DepthRanges] | None = None
         with context.drawing():
-            self._of_image = context.full_screen("tile_range.frag", TILE=TILE)
-            self._of_tiles = context.full_screen("range_pyramid.frag", TILE=TILE)
+            self._of_image = gl.Pass(context, "tile_range.frag", TILE=TILE)
+            self._of_tiles = gl.Pass(context, "range_pyramid.frag", TILE=TILE)
 
     def of(self, image: GpuImage) -> DepthRanges:
         """Return textures that the next image's overwrite. Call within a `drawing` block.
@@ -117,13 +117,10 @@ class GlDepthRanges:
         self._last = image, DepthRanges(tiles, pyramid)
         return self._last[1]
 
-    def _draw(
-        self, name: str, full_screen: gl.VertexArray, size: tuple[int, int], **textures: gl.Texture
-    ) -> Sequence[gl.Texture]:
+    def _draw(self, name: str, filling: gl.Pass, size: tuple[int, int], **textures: gl.Texture) -> Sequence[gl.Texture]:
         target = self._targets.get(name, size, (2, "f4"))
-        self._context.draw_to(target.framebuffer)
-        gl.bind_textures(full_screen.program, **textures)
-        full_screen.render(vertices=3)
+        gl.bind_textures(filling.program, **textures)
+        filling.fill(target)
         return target.textures
 
 
