@@ -20,7 +20,7 @@ uniform vec2 inset_size_px;
 
 layout(location = 0) out vec4 path;  // at infinity, shift; x = MISSING without a ray
 layout(location = 1) out vec4 bend;  // second differences along the rows and along the columns
-layout(location = 2) out vec4 mixed_bend_and_range;  // the range: see range_of_cell, `marked`
+layout(location = 2) out vec4 mixed_bend_and_range;  // the range: see range_of_cell, with_samples
 
 const int SEARCHES = 3, PARTS = 8;
 const float SHORT_PX = 4.0;  // paths of which parts would tell no more than the whole
@@ -88,20 +88,14 @@ float largest_stretch(mat2 image_by_display)
     return sqrt(0.5 * (squares + sqrt(max(squares * squares - 4.0 * area * area, 0.0))));
 }
 
-// Whether one bilinear sample for each display pixel would miss some of the image.
-bool is_minified(vec4 corner[4])
+// Bilinear samples of a display pixel along each axis that miss nothing of the image.
+float samples_per_axis(vec4 corner[4])
 {
     vec2 upper = corner[1].xy - corner[0].xy, lower = corner[3].xy - corner[2].xy;
     vec2 left = corner[2].xy - corner[0].xy, right = corner[3].xy - corner[1].xy;
     mat2 first = mat2(upper / display_px_per_cell.x, left / display_px_per_cell.y);
     mat2 last = mat2(lower / display_px_per_cell.x, right / display_px_per_cell.y);
-    return max(largest_stretch(first), largest_stretch(last)) > SPACING_PX;
-}
-
-// Minified cells have negative bounds.
-vec2 marked(vec2 range, bool minified)
-{
-    return minified ? -1.0 - range : range;
+    return ceil(max(largest_stretch(first), largest_stretch(last)) / SPACING_PX);
 }
 
 // Far and near bound; the near one first where the cell is sampled directly, because they lie so close together.
@@ -134,7 +128,7 @@ vec2 range_of_cell(int channel, ivec2 point)
         within = searched(middle.xy, middle.zw, within, PARTS, width_px, size_px);
     }
     bool direct = px_per_inverse_depth * (within.y - within.x) <= DIRECT_PX;
-    return marked(direct ? within.yx : within, is_minified(corner));
+    return with_samples(direct ? within.yx : within, samples_per_axis(corner));
 }
 
 void main()

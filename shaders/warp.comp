@@ -2,8 +2,8 @@
 #include "conventions.glsl"
 #include "srgb.glsl"
 #include "texels.glsl"
-#include "warp_cell.glsl"
 #include "insets.glsl"
+#include "warp_cell.glsl"
 // The warp as a compute shader, for all cells: GPUs have more of it than of fragment shaders.
 
 layout(local_size_x = GROUP, local_size_y = GROUP) in;

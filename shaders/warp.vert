@@ -1,7 +1,7 @@
 #version 410
 #include "texels.glsl"
-#include "warp_cell.glsl"
 #include "insets.glsl"
+#include "warp_cell.glsl"
 // The cells of a warp grid as two triangles each: those that the program is for (sampled directly, or marched), the
 // others without area.
 

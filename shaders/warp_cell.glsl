@@ -3,7 +3,7 @@
 uniform sampler2D paths;  // see cells.frag; channels lie one below the other
 uniform sampler2D bends;
 uniform sampler2D mixed_bends_and_ranges;
-uniform float minified_samples_per_axis;  // of a display pixel where the map minifies
+uniform float most_samples_per_axis;  // of a display pixel
 
 // Of the two triangles of a cell, cut from the upper right to the lower left: the same three points in both shaders.
 const ivec2 CORNERS[6] = ivec2[](ivec2(0, 0), ivec2(1, 0), ivec2(0, 1), ivec2(1, 0), ivec2(1, 1), ivec2(0, 1));
@@ -24,10 +24,11 @@ Cell cell_at(ivec2 upper_left)
 {
     Cell cell = Cell(vec2(MISSING, 0.0), 1.0, true, false);
     for (int channel = 0; channel < CHANNELS; ++channel) {
+        float samples;
         vec2 range = fetched(mixed_bends_and_ranges, upper_left + ivec2(0, channel * grid_points().y)).zw;
+        range = without_samples(range, samples);
         cell.is_covered = cell.is_covered || range.x > 0.5 * MISSING;
-        cell.samples_per_axis = range.x < 0.0 ? minified_samples_per_axis : cell.samples_per_axis;
-        range = range.x < 0.0 ? -1.0 - range : range;
+        cell.samples_per_axis = max(cell.samples_per_axis, min(samples, most_samples_per_axis));
         cell.is_direct = cell.is_direct && range.x >= range.y;
         cell.range = vec2(min(cell.range.x, min(range.x, range.y)), max(cell.range.y, max(range.x, range.y)));
     }

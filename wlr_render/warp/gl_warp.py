@@ -18,6 +18,7 @@ from wlr_render.warp.gl_panel import SRGB_ENCODER, PanelEncoder
 from wlr_render.warp.gl_ray_maps import RayTexture
 from wlr_render.warp.gpu_image import DepthRanges, GlDepthRanges, GpuImage
 from wlr_render.warp.grid import WarpGrid
+from wlr_render.warp.raster_camera import MAX_SAMPLES
 from wlr_render.warp.warp import (
     DIRECT_PX,
     SPACING_PX,
@@ -37,6 +38,7 @@ _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
     "SPACING_PX": SPACING_PX,
     "MISSING": 1e30,
     "MAX_OVERLAYS": MAX_OVERLAYS,
+    "MOST_SAMPLES": float(MAX_SAMPLES),
 }
 
 
@@ -50,8 +52,8 @@ class WarpedPicture:
 
     Attributes:
         image: colour and depth.
-        samples_per_axis: samples per display pixel along each axis where it is minified, see
-            `raster_camera.samples_for`.
+        samples_per_axis: most samples per display pixel along each axis, see `raster_camera.samples_for`. Each cell of
+            the warp grid has as many as it needs.
     """
 
     image: GpuImage
@@ -284,7 +286,7 @@ class GlWarp:
             **textures,
         )
         opaque, samples = 0.0 if image.has_alpha else 1.0, float(picture.samples_per_axis)
-        gl.set_uniforms(program, opaque=opaque, minified_samples_per_axis=samples, **uniforms)
+        gl.set_uniforms(program, opaque=opaque, most_samples_per_axis=samples, **uniforms)
 
 
 @dataclass(frozen=True, eq=False)

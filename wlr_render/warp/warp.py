@@ -35,10 +35,9 @@ background has w = 0 and is intersected at (a, b).
 Colour is bilinear in linear light, and encoded once in the end; hardware filters have 8-bit weights, which is worth a
 code of 255 at most. Where rays are followed, texels of another surface than the one that the ray meets take no part,
 unless they lie within half a pixel of it: an edge that has moved leaves no trace where it was. Where the map minifies,
-`samples_per_axis` > 1 averages samples_per_axis squared such samples, spread evenly over the area that the display
-pixel covers in the image: `raster_camera.py` says how many are needed. The sides of a display pixel in the image are
-differences of s(0) in blocks of 2 x 2 pixels, as on GPUs. Cells of the warp grid in which the map minifies by less than
-SPACING_PX have one sample.
+several such samples are averaged, spread evenly over the area that the display pixel covers in the image: along each
+axis as many as keep them SPACING_PX apart, at most `samples_per_axis`, for each cell of the warp grid. The sides of a
+display pixel in the image are differences of s(0) in blocks of 2 x 2 pixels, as on GPUs.
 
 With one ray map per colour channel (red, green, blue) each channel follows its own rays; the status is the worst of the
 three (the largest), and the source is green's.
