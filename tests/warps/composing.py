@@ -114,11 +114,17 @@ def misplaced_arcmin(
 
 def programs_compiled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """Shaders of each program that ModernGL compiles from now on."""
-    compiled, compile_program = [], moderngl.Context.program
+    compiled: list[dict[str, Any]] = []
+    compile_program, compile_compute_shader = moderngl.Context.program, moderngl.Context.compute_shader
 
     def counted(context: moderngl.Context, **shaders: Any) -> moderngl.Program:
         compiled.append(shaders)
         return compile_program(context, **shaders)
 
+    def counted_compute(context: moderngl.Context, source: str) -> moderngl.ComputeShader:
+        compiled.append({"compute_shader": source})
+        return compile_compute_shader(context, source)
+
     monkeypatch.setattr(moderngl.Context, "program", counted)
+    monkeypatch.setattr(moderngl.Context, "compute_shader", counted_compute)
     return compiled

@@ -20,6 +20,7 @@ from wlr_render.geometry import transforms
 from wlr_render.gl.context import GlContext
 from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.panel_light import PanelLight
+from wlr_render.warp.stored_picture import StoredColour
 from wlr_render.warp.warp import WarpStatus
 
 pytestmark = pytest.mark.gl
@@ -42,8 +43,9 @@ def in_both(compositor: Callable[..., Any], gl_context: GlContext) -> Iterator[C
             found.append(run(made))
         return found
 
+    usual = gl_context.computes
     yield compose
-    gl_context.computes = False
+    gl_context.computes = usual
 
 
 def with_overlay(made: Compositor) -> None:
@@ -105,18 +107,36 @@ def test_both_entries_show_the_same(
 @pytest.mark.parametrize("samples", [0, 4])
 def test_a_picture_is_copied_into_a_target_upright(in_both: Callable[..., list[Any]], samples: int) -> None:
     def run(made: Compositor) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        with made.context.drawing() as ctx:
-            target, shown = ctx.simple_framebuffer(SMALL, samples=samples), ctx.simple_framebuffer(SMALL)
-        made.compose(target)
-        with made.context.drawing() as ctx:
-            ctx.copy_framebuffer(shown, target)
-            pixels = np.frombuffer(shown.read(components=3), np.uint8).reshape(HEIGHT, WIDTH, 3)[::-1]
-        return pixels, made.compose().read()
+        return composed_into(made, samples)[..., :3], made.compose().read()
 
     (_, drawn), (shown, computed) = in_both(run)
     np.testing.assert_array_equal(shown, computed)
     assert np.abs(drawn.astype(int) - computed).max() <= 1
     assert computed.std() > 10
+
+
+def test_alpha_reaches_a_target_with_its_levels(in_both: Callable[..., list[Any]]) -> None:
+    def run(made: Compositor) -> NDArray[np.uint8]:
+        (camera,) = made.begin_frame(HEAD, viewpoint(planar())).values()
+        width, height = camera.size_px
+        colour = np.full((height, width, 4), 60, np.uint8)
+        colour[..., 3] = np.linspace(60, 255, width)
+        made.submit(colour, np.ones((height, width), np.float32), stored_colour=StoredColour(alpha=True))
+        return composed_into(made)
+
+    drawn, computed = in_both(run, panel=PanelLight(bits=10))
+    assert np.abs(drawn.astype(int) - computed).max() <= 1
+    assert len(np.unique(computed[..., 3])) > 30
+
+
+def composed_into(made: Compositor, samples: int = 0) -> NDArray[np.uint8]:
+    """RGBA of a framebuffer into which a frame is composed, its top row first."""
+    with made.context.drawing() as ctx:
+        target, shown = ctx.simple_framebuffer(SMALL, samples=samples), ctx.simple_framebuffer(SMALL)
+    made.compose(target)
+    with made.context.drawing() as ctx:
+        ctx.copy_framebuffer(shown, target)
+        return np.frombuffer(shown.read(components=4), np.uint8).reshape(HEIGHT, WIDTH, 4)[::-1]
 
 
 def test_a_program_finds_its_images_as_they_were(caller: Caller, compositor: Callable[..., Any]) -> None:

@@ -123,6 +123,18 @@ def test_orders_of_the_place_above_those_of_usual_models_are_kept(gl_context: Gl
         assert worst_arcmin(field, exact) < 0.004
 
 
+@pytest.mark.parametrize("orders", [[6, 0, 0, 0], [4, 2, 0, 0], [5, 0, 1, 0]])
+def test_orders_of_the_deviation_above_those_of_usual_models_are_kept(gl_context: GlContext, orders: list[int]) -> None:
+    eye = fitted_eye("northstar", 3)
+    _, see_through = models_of(eye)
+    ripple = Polynomial(np.array([orders]), see_through.deviation.box, np.array([[ARCMIN, ARCMIN, 0, 0]]))
+    bent = dataclasses.replace(see_through, deviation=see_through.deviation.plus(ripple))
+    eye = dataclasses.replace(eye, see_through=bent)
+    for unit in PLACES:
+        field, exact = gl_solve(gl_context, eye).solve(at(eye, unit)).read(), float64_field(eye, at(eye, unit))
+        assert worst_arcmin(field, exact) < 0.008
+
+
 def test_eyes_and_calibrations_share_one_program(gl_context: GlContext, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled = programs_compiled(monkeypatch)
     with gl.open_context(gl_context.backend) as context:

@@ -22,6 +22,7 @@ from wlr_render.draw.scene_raster import SceneRaster
 from wlr_render.engine import FrameHandle
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.gl.context import GlContext
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 
@@ -227,12 +228,21 @@ def test_prepared_compositors_compile_nothing_later(
     assert compiled
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("is_software", [True, False], ids=["drawn", "computed"])
 def test_layers_insets_and_kinds_of_frames_share_their_programs(
-    compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, channels: int, is_software: bool
 ) -> None:
+    monkeypatch.setattr(GlContext, "is_software", is_software)
     compiled = programs_compiled(monkeypatch)
-    compositor(planar(), context="egl").prepare(overlays=4, insets=True)
-    assert 0 < len(compiled) <= 12
+    made = compositor({"right": [planar()] * channels}, context="egl")
+    made.prepare(overlays=4, insets=True)
+    assert any("compute_shader" in each for each in compiled) != is_software
+    assert 4 < len(compiled) <= 12
+    draw(made, SceneSource(made, scene()), HEAD, viewpoint(planar()))
+    count = len(compiled)
+    made.compose(with_source=True).source(channel=channels - 1)
+    assert len(compiled) == count
 
 
 def test_pictures_are_read_without_waiting_and_stay_as_they_were(

@@ -54,7 +54,7 @@ class GlEye:
         )
         self._encoder = PanelEncoder.of(context, panel)
         self._warp = GlWarp(context, len(channels), self._encoder)
-        self._warp_of_one = GlWarp(context, 1, self._encoder)  # draws pull maps of red and blue
+        self._warp_of_sources = GlWarp(context, len(channels), self._encoder)  # draws pull maps of red and blue
         self._readbacks = ReadbackRing(context)
         self._import = PictureImport(context)
         self._pictures: list[WarpedPicture] = []  # the widest first
@@ -189,8 +189,9 @@ class GlEye:
                     f"the {self._plan.eye} eye's picture, from which the pull maps of red and blue are drawn, was "
                     "replaced after this frame was composed; read them before the next submit."
                 )
-            of_channel = widest.image, [ray_maps[channel]], image_from_ray_map
-            return self._warp_of_one.draw(*of_channel, size_px, *settings, with_source=True, insets=insets)
+            # The program of three channels, which is there already, gives the pull map of the middle one.
+            of_channel = widest.image, [ray_maps[channel]] * len(ray_maps), image_from_ray_map
+            return self._warp_of_sources.draw(*of_channel, size_px, *settings, with_source=True, insets=insets)
 
         return GlComposed(warped, ray_maps, self._readbacks, draw_source)
 

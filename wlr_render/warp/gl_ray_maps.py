@@ -100,7 +100,10 @@ class GlPlanarSolver:
         """
         self._display, self._see_through = require_planar(mappings)
         self._context, self._warp_grid, self._device_from_camera = context, warp_grid, device_from_camera
-        self._degree = max(DEGREE, int(self._display.modelled.orders[:, 2:].sum(axis=1).max(initial=0)))
+        orders = self._display.modelled.orders[:, 2:], self._see_through.modelled.orders[:, :2]
+        of_display, of_see_through = (int(each.sum(axis=1).max(initial=0)) for each in orders)
+        # One more for the deviation: it also depends on the tangents, which differ from place to place.
+        self._degree = max(DEGREE, of_display, of_see_through + 1)
         terms = self._terms()
         constants: dict[str, float] = {status.name: int(status) for status in Status}
         constants |= {"MAX_ITERATIONS": MAX_ITERATIONS, "LAST_STEP_M": LAST_STEP_M, "SCALED_LIMIT": SCALED_LIMIT}

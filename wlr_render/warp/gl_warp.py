@@ -176,13 +176,19 @@ class GlWarp:
             drawn = pictures, ray_maps, image_from_ray_map
             try:
                 if self._context.computes:
-                    made = self._own_target(target.size_px, with_source=False)
+                    made = self._target_to_copy(target.size_px)
                     self._draw(*drawn, made, background, overlays)
                     self._copy(made.textures[0], target)
                 else:
                     self._draw(*drawn, target, background, overlays)
             finally:
                 target.framebuffer.viewport = before
+
+    def _target_to_copy(self, size_px: tuple[int, int]) -> gl.RenderTarget:
+        kind = (
+            "nu2" if self._panel.texture_kind == "rgb10" else self._panel.texture_kind
+        )  # 2 bits are too few for alpha
+        return self._targets.get("to copy", size_px, (4, kind), (1, "u1"))
 
     def _own_target(self, size_px: tuple[int, int], with_source: bool) -> gl.RenderTarget:
         source_format = [(2, "f4")] if with_source else []
