@@ -2,7 +2,7 @@
 #include "conventions.glsl"
 #include "texels.glsl"
 #include "ranges.glsl"
-#include "insets.glsl"
+#include "cell_notes.glsl"
 // For each point of a warp grid: where its ray appears in the image, the second differences of that, and the bounds of
 // the inverse depth for the cell of which it is the upper left corner. Channels lie one below the other.
 
@@ -14,13 +14,11 @@ uniform vec2 size_px;  // of the image
 uniform vec2 display_px_per_cell;
 uniform bool is_inset;
 uniform bool has_inset;
-uniform sampler2D inset_paths;  // of the next sharper picture
-uniform sampler2D inset_ranges;
-uniform vec2 inset_size_px;
+uniform sampler2D inset_ranges;  // of the next sharper picture
 
 layout(location = 0) out vec4 path;  // at infinity, shift; x = MISSING without a ray
 layout(location = 1) out vec4 bend;  // second differences along the rows and along the columns
-layout(location = 2) out vec4 mixed_bend_and_range;  // the range: see range_of_cell, with_samples
+layout(location = 2) out vec4 mixed_bend_and_range;  // the range: see range_of_cell, with_notes
 
 const int SEARCHES = 3, PARTS = 8;
 const float SHORT_PX = 4.0;  // paths of which parts would tell no more than the whole
@@ -128,7 +126,27 @@ vec2 range_of_cell(int channel, ivec2 point)
         within = searched(middle.xy, middle.zw, within, PARTS, width_px, size_px);
     }
     bool direct = px_per_inverse_depth * (within.y - within.x) <= DIRECT_PX;
-    return with_samples(direct ? within.yx : within, samples_per_axis(corner));
+    bool is_filled = is_inset;
+    for (int k = 0; k < 4; ++k) {
+        vec2 one = corner[k].xy + within.x * corner[k].zw, other = corner[k].xy + within.y * corner[k].zw;
+        is_filled = is_filled && all(greaterThan(min(one, other), vec2(SLACK_PX))) &&
+                    all(lessThan(max(one, other), size_px - SLACK_PX));
+    }
+    return with_notes(direct ? within.yx : within, samples_per_axis(corner), is_filled);
+}
+
+// Whether all that the cell may show lies inside the next sharper picture, which is drawn over this one.
+bool is_covered(ivec2 point)
+{
+    bool covered = has_inset;
+    for (int k = 0; k < CHANNELS; ++k) {
+        float samples;
+        bool is_filled;
+        vec2 range = fetched(inset_ranges, point + ivec2(0, k * textureSize(slope_offset[0], 0).y)).zw;
+        bool is_filled_there = without_notes(range, samples, is_filled).x == COVERED || is_filled;
+        covered = covered && is_filled_there;
+    }
+    return covered;
 }
 
 void main()
@@ -141,7 +159,6 @@ void main()
     vec2 mixed = mixed_difference(channel, point);
     bool has_cell = all(lessThan(point, last));
     mixed_bend_and_range = vec4(mixed, has_cell ? range_of_cell(channel, point) : vec2(0.0));
-    // All that the cell may show lies inside the next sharper picture, which is drawn over this one.
-    if (has_inset && is_filled(inset_paths, inset_ranges, point, inset_size_px))
+    if (is_covered(point))
         mixed_bend_and_range.zw = vec2(COVERED);
 }

@@ -2,7 +2,7 @@
 #include "conventions.glsl"
 #include "srgb.glsl"
 #include "texels.glsl"
-#include "insets.glsl"
+#include "cell_notes.glsl"
 #include "warp_cell.glsl"
 // The warp as a compute shader, for all cells: GPUs have more of it than of fragment shaders.
 
@@ -73,9 +73,7 @@ void main()
     range = of_cell.range;
     samples_per_axis = of_cell.samples_per_axis;
     is_direct = of_cell.is_direct;
-    filled = 0.0;
-    if (is_inset)
-        filled = is_filled(paths, mixed_bends_and_ranges, upper_left, vec2(textureSize(picture, 0))) ? 1.0 : 0.0;
+    filled = of_cell.is_filled ? 1.0 : 0.0;
     find_channel(0, upper_left, cells_per_pixel);
 #if CHANNELS == 3
     find_channel(1, upper_left, cells_per_pixel);

@@ -1,13 +1,11 @@
 #version 410
 #include "texels.glsl"
-#include "insets.glsl"
+#include "cell_notes.glsl"
 #include "warp_cell.glsl"
 // The cells of a warp grid as two triangles each: those that the program is for (sampled directly, or marched), the
 // others without area.
 
 uniform bool top_row_first;
-uniform bool is_inset;
-uniform sampler2D picture;
 
 out vec2 grid_place;
 #if UNIFORMITY
@@ -38,9 +36,7 @@ void main()
     Cell of_cell = cell_at(upper_left);
     range = of_cell.range;
     samples_per_axis = of_cell.samples_per_axis;
-    filled = 0.0;
-    if (is_inset)
-        filled = is_filled(paths, mixed_bends_and_ranges, upper_left, vec2(textureSize(picture, 0))) ? 1.0 : 0.0;
+    filled = of_cell.is_filled ? 1.0 : 0.0;
     cell = vec2(upper_left);
     grid_place = vec2(point);
 #if UNIFORMITY

@@ -13,6 +13,7 @@ struct Cell {
     float samples_per_axis;
     bool is_direct;   // the image's depth moves its pixels by less than DIRECT_PX
     bool is_covered;  // a sharper picture fills it
+    bool is_filled;   // an inset fills it: the wider picture is not drawn here
 };
 
 ivec2 grid_points()
@@ -22,11 +23,13 @@ ivec2 grid_points()
 
 Cell cell_at(ivec2 upper_left)
 {
-    Cell cell = Cell(vec2(MISSING, 0.0), 1.0, true, false);
+    Cell cell = Cell(vec2(MISSING, 0.0), 1.0, true, false, true);
     for (int channel = 0; channel < CHANNELS; ++channel) {
         float samples;
+        bool is_filled;
         vec2 range = fetched(mixed_bends_and_ranges, upper_left + ivec2(0, channel * grid_points().y)).zw;
-        range = without_samples(range, samples);
+        range = without_notes(range, samples, is_filled);
+        cell.is_filled = cell.is_filled && is_filled;
         cell.is_covered = cell.is_covered || range.x > 0.5 * MISSING;
         cell.samples_per_axis = max(cell.samples_per_axis, min(samples, most_samples_per_axis));
         cell.is_direct = cell.is_direct && range.x >= range.y;

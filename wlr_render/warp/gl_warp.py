@@ -297,13 +297,12 @@ class GlWarp:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Outputs of `cells.frag` for a picture of (width, height), and the bounds of the picture's depths."""
+    """Outputs of `cells.frag` for a picture, and the bounds of the picture's depths."""
 
     paths: gl.Texture
     bends: gl.Texture
     mixed_bends_and_ranges: gl.Texture
     ranges: DepthRanges
-    size_px: tuple[int, int]
 
 
 class _GlCells:
@@ -332,7 +331,7 @@ class _GlCells:
         program = self._filling.program
         rays = [each.slope_offset for each in ray_maps]
         # The tiles stay on their unit for the warp. Unused samplers share a texture: they must not read a target.
-        unused = dict.fromkeys(("row_matrices", "inset_paths", "inset_ranges"), rays[0])
+        unused = dict.fromkeys(("row_matrices", "inset_ranges"), rays[0])
         textures: dict[str, Any] = {"tiles": ranges.tiles, "ranges": ranges.pyramid, "slope_offset": rays, **unused}
         if by_rows:
             rows = self._targets.get("row matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
@@ -341,8 +340,7 @@ class _GlCells:
         else:
             gl.set_array(program, "camera_matrix", matrices)
         if inset is not None:
-            textures |= {"inset_paths": inset.paths, "inset_ranges": inset.mixed_bends_and_ranges}
-            gl.set_uniforms(program, inset_size_px=tuple(map(float, inset.size_px)))
+            textures["inset_ranges"] = inset.mixed_bends_and_ranges
         gl.set_uniforms(program, has_row_matrices=by_rows, is_inset=is_inset, has_inset=inset is not None)
         gl.bind_textures(program, **textures)
         per_cell = (display_size_px[0] / (warp_grid.columns - 1), display_size_px[1] / (warp_grid.rows - 1))
@@ -350,7 +348,7 @@ class _GlCells:
         gl.set_uniforms(program, size_px=tuple(map(float, size_px)), display_px_per_cell=per_cell)
         self._filling.fill(cells)
         paths, bends, mixed_bends_and_ranges = cells.textures
-        return _Cells(paths, bends, mixed_bends_and_ranges, ranges, size_px)
+        return _Cells(paths, bends, mixed_bends_and_ranges, ranges)
 
 
 def _check(ray_maps: Sequence[RayTexture], channels: int, image_from_ray_map: FloatArray) -> None:
