@@ -2,6 +2,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
@@ -47,21 +48,21 @@ def test_the_exception_of_a_block_arrives() -> None:
         for_blocks(work, 6, 1)
 
 
-@pytest.mark.parametrize("most", [0, 1, 3])
+@pytest.mark.parametrize("most", [1, 2, 4])
 def test_results_come_in_order_from_a_bounded_number_of_tasks(most: int) -> None:
     made, finished = list[int](), list[int]()
     go_on = threading.Event()
 
     def task(number: int) -> int:
-        if number == 0 and most:
+        if number == 0 and most > 1:
             assert go_on.wait(60)
         return number
 
     def tasks() -> Iterator[Callable[[], int]]:
         for number in range(9):
             made.append(number)
-            assert len(made) - len(finished) <= most + 1
-            if number == most:
+            assert len(made) - len(finished) <= most  # this one is not yet begun
+            if number == most - 1:
                 go_on.set()
             yield partial(task, number)
 
@@ -94,6 +95,40 @@ def test_background_work_that_is_interrupted_finishes_begun_tasks_and_drops_the_
         list(in_background(interrupted(), 50))
     assert 10 in ended
     assert sorted(begun) == sorted([*ended, 2])
+
+
+def test_an_interrupt_while_a_result_is_awaited_waits_for_its_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, ended = threading.Event(), threading.Event()
+
+    def task() -> None:
+        begun.set()
+        time.sleep(0.3)
+        ended.set()
+
+    def interrupted(future: Future[None], timeout: float | None = None) -> None:
+        assert begun.wait(60)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Future, "result", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(in_background([task], 1))
+    assert ended.is_set()
+
+
+def test_results_before_a_task_that_cannot_be_made_are_yielded() -> None:
+    results = list[int]()
+
+    def task(number: int) -> int:
+        time.sleep(0.05)
+        return number
+
+    def tasks() -> Iterator[Callable[[], int]]:
+        yield from (partial(task, number) for number in range(5))
+        raise ValueError("sixth")
+
+    with pytest.raises(ValueError, match="sixth"):
+        results.extend(in_background(tasks(), 9))
+    assert results == list(range(5))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")

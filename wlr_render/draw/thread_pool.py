@@ -33,25 +33,38 @@ def for_blocks(work: Callable[[slice], None], total: int, block: int) -> None:
 def in_background(tasks: Iterable[Callable[[], Result]], most: int) -> Generator[Result]:
     """Yield the results of tasks in their order, while the threads work on the tasks that follow.
 
-    The first exception of a task is raised here. Then, or if the caller stops, tasks that have begun are finished, and
-    the others are dropped.
+    The first exception of a task, or of `tasks` after the results of all tasks before, is raised here. Then, and if
+    the caller stops or is interrupted, tasks that have begun are finished, and the others are dropped.
 
     Args:
         tasks: made one by one in the caller's thread.
-        most: number of unfinished tasks with which the next one is made; 0: each is finished first.
+        most: largest number of unfinished tasks; 1: each is finished before the next one is made.
     """
     waiting = deque[Future[Result]]()
     try:
-        for task in tasks:
-            waiting.append(_pool().submit(task))
-            while waiting and (len(waiting) > most or waiting[0].done()):
-                yield waiting.popleft().result()
+        for future in _submitted(tasks):
+            waiting.append(future)
+            while waiting and (len(waiting) >= most or waiting[0].done()):
+                yield waiting[0].result()
+                waiting.popleft()  # not before: an interrupt of `result` leaves the task to be waited for
         while waiting:
-            yield waiting.popleft().result()
+            yield waiting[0].result()
+            waiting.popleft()
     finally:
         for future in waiting:
             future.cancel()
         wait(waiting)
+
+
+def _submitted(tasks: Iterable[Callable[[], Result]]) -> Generator[Future[Result]]:
+    """Futures of tasks; an exception of `tasks` is the last one's, so that the caller gets the results before it."""
+    try:
+        for task in tasks:
+            yield _pool().submit(task)
+    except Exception as error:
+        failed = Future[Result]()
+        failed.set_exception(error)
+        yield failed
 
 
 @functools.cache

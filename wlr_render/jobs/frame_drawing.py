@@ -51,7 +51,7 @@ from wlr_render.work.workers import LOCAL, as_finished, usable_cores
 
 _Write = Callable[[], object]
 _FRAMES_OF_A_BLOCK = 8  # most frames per block; an interrupted run may lose as many with each worker
-_UNWRITTEN = 6  # most frames with unfinished files; with all layers and maps one of 1440 x 1600 px takes 0.2 GB
+_UNWRITTEN = 7  # most frames whose files threads write; with all layers and maps one of 1440 x 1600 px takes 0.2 GB
 _BLOCKS = 64  # fewest blocks if there are as many frames; with fewer, workers wait for the last block
 
 
@@ -218,7 +218,7 @@ class FrameDrawing:
             if plan:
                 _ = self._painters, self._error_maps
             # A path-traced frame takes minutes, and is listed before the next one begins.
-            most = 0 if self.options.method == "pathtrace" else min(usable_cores(), _UNWRITTEN)
+            most = 1 if self.options.method == "pathtrace" else min(usable_cores() + 1, _UNWRITTEN)
             return in_background(self.writes(plan, self.options.out), most)
         size = min(max(len(plan) // _BLOCKS, 1), _FRAMES_OF_A_BLOCK)
         blocks = [self.block(plan[start : start + size]) for start in range(0, len(plan), size)]
