@@ -76,8 +76,9 @@ def test_pixels_that_differ_become_means_in_linear_light() -> None:
 
 
 def test_pixels_like_their_neighbours_keep_their_single_ray() -> None:
-    colour = np.full((3, 4, 3), 100, np.uint8)
-    colour[1:, 2:] += 8
+    # Those on either side of a pixel differ by 16 codes.
+    colour = np.tile(np.uint8(100) + 8 * np.arange(6, dtype=np.uint8)[:, None], (3, 1, 3))
+    colour[1:] += 8
     before = colour.copy()
     RayRenderer(SCENE).refine(colour, 4, lambda pixel: pytest.fail(f"{pixel} are like their neighbours."))
     np.testing.assert_array_equal(colour, before)

@@ -115,8 +115,9 @@ class RayRenderer:
             rays_within: see `RaysWithinPixels`.
             shadows: whether surfaces cast shadows.
         """
-        flat, is_mean = colour.reshape(-1, 3), np.zeros(colour.shape[:2], np.bool_)
-        while (chosen := np.flatnonzero(_differs_from_neighbour(colour) & ~is_mean)).size:
+        flat, is_mean = colour.reshape(-1, 3), np.zeros(colour.shape[0] * colour.shape[1], np.bool_)
+        chosen = np.flatnonzero(_differs_from_neighbour(colour))
+        while chosen.size:
             means = np.empty((chosen.size, 3), np.uint8)
 
             def render(part: slice, chosen: NDArray[np.intp] = chosen, means: NDArray[np.uint8] = means) -> None:
@@ -128,7 +129,10 @@ class RayRenderer:
 
             for_blocks(render, chosen.size, max(1, _RAYS_PER_BLOCK // count))
             flat[chosen] = means
-            is_mean.flat[chosen] = True
+            is_mean[chosen] = True
+            # Another pixel's neighbours are as they were.
+            beside = _neighbours_that_differ(colour, chosen)
+            chosen = beside[~is_mean[beside]]
 
     def _trace(self, rays: tuple[Float32Array, Float32Array], shadows: bool) -> tuple[Intersections, Shaded]:
         origin, direction = rays
@@ -141,9 +145,21 @@ class RayRenderer:
 def _differs_from_neighbour(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return which pixels differ from one of their four neighbours by more than `_DIFFERENCE`: (height, width)."""
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    span = cv2.dilate(colour, cross) - cv2.erode(colour, cross)
-    red, green, blue = np.moveaxis(span, -1, 0)
+    difference = np.maximum(cv2.dilate(colour, cross) - colour, colour - cv2.erode(colour, cross))
+    red, green, blue = np.moveaxis(difference, -1, 0)
     return np.asarray(np.maximum(np.maximum(red, green), blue) > _DIFFERENCE)
+
+
+def _neighbours_that_differ(colour: NDArray[np.uint8], pixel: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the pixels that differ so from a neighbour among these (n,), each once; counted row by row."""
+    (height, width), flat = colour.shape[:2], colour.reshape(-1, 3)
+    row, column = np.divmod(pixel, width)
+    found = []
+    for is_inside, step in ((column > 0, -1), (column < width - 1, 1), (row > 0, -width), (row < height - 1, width)):
+        own = pixel[is_inside]
+        difference = np.abs(flat[own].astype(np.int16) - flat[own + step])
+        found.append(own[(difference > _DIFFERENCE).any(axis=1)] + step)
+    return np.unique(np.concatenate(found))
 
 
 def _rows_per_block(shape: tuple[int, ...]) -> int:
