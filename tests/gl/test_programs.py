@@ -1,6 +1,7 @@
-"""Textures that are not bound again, and framebuffers bound without ModernGL."""
+"""Textures that are not bound again, framebuffers bound without ModernGL, and passes as compute shaders."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import moderngl
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from wlr_render.gl import gl
 from wlr_render.gl.context import GlContext
+from wlr_render.io import atomic_files
 
 
 @pytest.fixture
@@ -66,3 +68,36 @@ def test_textures_are_bound_anew_in_each_block(
     with gl_context.drawing():
         copying(green, target)
         assert (gl.read(texture, np.uint8) == [0, 255, 0, 255]).all()
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(
+    ("kind", "value", "dtype", "texel"),
+    [
+        ("float", "2.5", "f4", [2.5]),
+        ("int", "-3", "i4", [-3]),
+        ("uint", "7u", "u1", [7]),
+        ("vec2", "vec2(1.5, 2.5)", "f4", [1.5, 2.5]),
+        ("vec3", "vec3(1.5, 2.5, 3.5)", "f4", [1.5, 2.5, 3.5, 0]),
+        ("ivec2", "ivec2(-1, 2)", "i4", [-1, 2]),
+        ("uvec4", "uvec4(1, 2, 3, 4)", "u1", [1, 2, 3, 4]),
+    ],
+)
+def test_a_computed_pass_writes_outputs_of_every_type(
+    gl_context: GlContext,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    value: str,
+    dtype: str,
+    texel: list[float],
+) -> None:
+    shader = tmp_path / f"{kind}.frag"
+    shader.write_text(
+        f"#version 410\nlayout(location = 0) out {kind} written;\nvoid main()\n{{\n    written = {value};\n}}\n"
+    )
+    monkeypatch.setattr(atomic_files, "resource", lambda folder, name: tmp_path / name)
+    with gl_context.drawing():
+        target = gl_context.target((3, 2), len(texel), dtype)
+        gl_context.compute(gl_context.compute_program(shader.name), [target])
+        assert (gl.read(target, dtype).reshape(6, -1) == texel).all()

@@ -207,9 +207,9 @@ class GlContext:
         return self._compute_programs[key]
 
     def compute(self, program: ComputeShader, textures: Sequence[Texture]) -> None:
-        """Run a compute shader for each texel of textures that `target` made, its images 0, 1, ...: at most IMAGES.
+        """Run a compute shader for each texel of textures that `target` made, its images 0, 1 and so on.
 
-        What comes after sees what it has written.
+        `gl_state` keeps three image units of a host: give at most three. What comes after sees what it has written.
         """
         for unit, texture in enumerate(textures):
             texture.bind_to_image(unit, read=False, write=True, format=_RGB10_A2 if texture.extra == _RGB10_A2 else 0)

@@ -27,17 +27,17 @@ def shader_source(name: str, constants: dict[str, float]) -> str:
     return "\n".join([f"#version {version}", *defines, "#line 2", _with_includes(text)])
 
 
-_OUTPUT = re.compile(r"^layout\(location = (\d)\) out (\w+) (\w+);", re.MULTILINE)
-_WIDENED = {"uint": "uvec4({})", "float": "vec4({})", "vec2": "vec4({}, 0.0, 0.0)", "vec4": "{}"}
+_OUTPUT = re.compile(r"^layout\(location = (\d)\) out (float|u?int|[iu]?vec[234]) (\w+);", re.MULTILINE)
 
 
 def pass_source(name: str, group: int, constants: dict[str, float]) -> str:
     """Text of a full-screen fragment shader as a compute shader, in groups of this side: its outputs are images."""
     _, text = shader_source(name, constants).split("\n", 1)
-    outputs = _OUTPUT.findall(text)
-    kinds = {kind: "uimage2D" if kind == "uint" else "image2D" for kind in _WIDENED}
-    images = [f"layout(binding = {k}) uniform writeonly {kinds[kind]} image_{k};" for k, kind, _ in outputs]
-    stores = [f"imageStore(image_{k}, texel, {_WIDENED[kind].format(each)});" for k, kind, each in outputs]
+    images, stores = [], []
+    for unit, kind, output in _OUTPUT.findall(text):
+        prefix, components = kind[0] if kind[0] in "iu" else "", int(kind[-1]) if "vec" in kind else 1
+        images.append(f"layout(binding = {unit}) uniform writeonly {prefix}image2D image_{unit};")
+        stores.append(f"imageStore(image_{unit}, texel, {prefix}vec4({output}{', 0' * (4 - components)}));")
     before = [f"#version {COMPUTE_VERSION}", f"layout(local_size_x = {group}, local_size_y = {group}) in;"]
     after = ["void main() {", "ivec2 texel = ivec2(gl_GlobalInvocationID.xy);"]
     after += ["if (any(greaterThanEqual(texel, imageSize(image_0)))) return;"]
