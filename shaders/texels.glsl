@@ -1,4 +1,4 @@
-// How shaders read textures: targets that lack one of these have another path here.
+// How the warp and the passes before it read textures: targets that lack one of these have another path here.
 
 // The four texels around a corner between them, of the first component: lower left, lower right, upper right, upper left.
 vec4 gathered(sampler2D image, vec2 shared_corner)

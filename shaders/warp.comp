@@ -4,7 +4,7 @@
 #include "texels.glsl"
 #include "cell_notes.glsl"
 #include "warp_cell.glsl"
-// The warp as a compute shader, for all cells: GPUs have more of it than of fragment shaders.
+// The warp as a compute shader, for all cells. Some GPUs run compute shaders on more processors than fragment shaders.
 
 layout(local_size_x = GROUP, local_size_y = GROUP) in;
 layout(binding = 0) uniform writeonly image2D colour_image;

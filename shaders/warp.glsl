@@ -1,8 +1,8 @@
 // What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.
 //
 // warp.frag and warp.comp run it for each pixel. They have before it, for its place in a cell of the warp grid: grid_place,
-// cell, range, samples_per_axis, is_direct, and with UNIFORMITY panel_place; for each channel: path, bend, mixed_bend,
-// is_known, and sides_of_pixel, which are those of a display pixel in the image.
+// cell, range, samples_per_axis, is_direct, filled, and with UNIFORMITY panel_place; for each channel: path, bend,
+// mixed_bend, known, and the function sides_of_pixel, which gives the sides of a display pixel in the image.
 //
 // Written for software renderers too: a texture read at normalised coordinates costs them less than a fetch.
 

@@ -96,7 +96,7 @@ class Pass:
         """Compile a fragment shader of shaders/ that takes no derivatives."""
         self._context, self._name, self._constants = context, name, constants
         self._programs: dict[bool, ComputeShader | Program] = {}
-        _ = self.program  # compiled now, in no frame
+        _ = self.program  # compiled now, so that no later frame waits for it
 
     @property
     def program(self) -> ComputeShader | Program:

@@ -80,7 +80,7 @@ class RenderOptions(SpreadOptions):
     supersample: Annotated[
         int,
         described(
-            "Rays per pixel and axis where a pixel differs from its neighbours; elsewhere one (raytrace only).",
+            "Rays per pixel and axis where neighbours differ by more than 8 codes; elsewhere one (raytrace only).",
             group=_DRAWING,
         ),
         Range(1, 12),
@@ -99,7 +99,7 @@ class RenderOptions(SpreadOptions):
     ] = 64
     bounces: Annotated[
         int,
-        described("Reflections of light between surfaces; 0: direct light only (pathtrace only).", group=_DRAWING),
+        described("Reflections of light between surfaces; 0: direct light (pathtrace only).", group=_DRAWING),
         Range(0, 64),
         OnlyWith("method", ("pathtrace",)),
     ] = 4

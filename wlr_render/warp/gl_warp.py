@@ -106,9 +106,10 @@ class GlWarp:
     """Warps images on the GPU; textures are reused between frames of one size.
 
     A first pass finds, for each cell of the warp grid, where its rays appear in the image and at which inverse depths
-    they may meet it. The cells are then drawn in one call of each kind, because software renderers run both sides of a
-    branch for every pixel: cells that the image's depth moves by less than DIRECT_PX, and cells whose pixels search
-    along their rays.
+    they may meet it. Cells that the image's depth moves by less than DIRECT_PX are sampled directly; pixels of the
+    others search along their rays. Where the context computes, this pass and the warp are compute shaders, and
+    `draw_into` copies the picture to its target. Elsewhere fragment shaders draw the cells, each kind in one call,
+    because software renderers run both sides of a branch for every pixel.
 
     An inset, a sharper image of a part of the field of view, is drawn in the same way over the wider image; the wider
     image skips the cells that the inset fills. The inset's border blends into the wider image (`PictureImport.take`),

@@ -29,7 +29,10 @@ def milliseconds(cell: str) -> float:
 def test_every_stage_has_a_time(work: Workload) -> None:
     (table,) = stages.one_eye(work, "auto").tables
     assert table.columns[1:] == TIME_COLUMNS
-    assert all(milliseconds(narrowed(cell, str)) >= 0 for row in table.rows for cell in row[1:])
+    for row in table.rows:
+        gpu, cpu, seen = (milliseconds(narrowed(cell, str)) for cell in row[1:])
+        assert gpu >= 0  # begin_frame draws nothing
+        assert min(cpu, seen) > 0
     names = " ".join(narrowed(row[0], str) for row in table.rows)
     for stage in ("begin_frame", "intermediate view", "pyrender", "nodes", "whole frame", "warp"):
         assert stage in names
