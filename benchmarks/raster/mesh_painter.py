@@ -48,9 +48,9 @@ class MeshWarpedPainter:
         sources = tuple(source_of_position(view, position) for position in traced.traced)
         light = decode_srgb(image.colour)
         colours = [encode_srgb(remap(light, source[..., :2], self._background)[0]) for source in sources]
-        read_colour = functools.partial(by_colour, colours)
+        make_colour = functools.partial(by_colour, colours)
         return Frame(
-            read_colour, traced.solve_ray_maps, traced=traced.traced, sources=sources, view=view, intermediate=image
+            make_colour, traced.solve_ray_maps, traced=traced.traced, sources=sources, view=view, intermediate=image
         )
 
 

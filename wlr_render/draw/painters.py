@@ -20,6 +20,12 @@ from wlr_render.warp.ray_map import RayMap, RayMapPlan, choose_plan, ray_map
 from wlr_render.warp.view import GeometryImage, View
 from wlr_render.warp.warp import SURFACE_STEP
 
+RESOLUTION = 2.75
+"""Default resolution of the intermediate image of offline frames. The image covers more than the panel's field of view:
+North Star's has 4 pixels to a pixel of the panel."""
+SUPERSAMPLE = 2
+"""Default rays per pixel along each axis where a ray-traced pixel differs from a neighbour."""
+
 _WHITE = 255
 _SATURATED = 0.01  # share of a frame's pixels; fewer saturated ones are highlights
 
@@ -31,7 +37,7 @@ class Frame:
     "Of each channel" means one for all colours, or one each for red, green and blue.
 
     Attributes:
-        read_colour: returns `colour`, which may wait for the GPU.
+        make_colour: returns `colour`; it may wait for the GPU, or trace further rays.
         solve_ray_maps: returns the ray map of each channel; see `ray_maps`.
         traced: of each channel (height, width, 3) float32, the world point that ray tracing found for each pixel, NaN
             where none; on request, empty for a warped frame.
@@ -41,7 +47,7 @@ class Frame:
         view, intermediate: the intermediate image of a warped frame and from where it was drawn; on request.
     """
 
-    read_colour: Callable[[], NDArray[np.uint8]]
+    make_colour: Callable[[], NDArray[np.uint8]]
     solve_ray_maps: Callable[[], tuple[RayMap, ...]]
     traced: tuple[Float32Array, ...] = ()
     sources: tuple[Float32Array, ...] = ()
@@ -51,7 +57,7 @@ class Frame:
     @cached_property
     def colour(self) -> NDArray[np.uint8]:
         """(height, width, 3) uint8 sRGB; the scene's background in pixels without a ray."""
-        return self.read_colour()
+        return self.make_colour()
 
     def save(self, path: str | Path) -> Path:
         """Write the image as an 8-bit PNG.
@@ -215,12 +221,12 @@ class TracedPainter:
                 traced.append(image.position)
             colours.append(image.colour)
 
-        def read_colour() -> NDArray[np.uint8]:
+        def make_colour() -> NDArray[np.uint8]:
             for colour, rays in zip(colours, ray_maps, strict=True):
                 self._refine(colour, rays, world_from_device)
             return by_colour(colours)
 
-        return Frame(read_colour, lambda: ray_maps, traced=tuple(traced))
+        return Frame(make_colour, lambda: ray_maps, traced=tuple(traced))
 
     def _refine(self, colour: NDArray[np.uint8], rays: RayMap, world_from_device: FloatArray) -> None:
         def rays_within(pixel: NDArray[np.intp]) -> tuple[Float32Array, Float32Array]:

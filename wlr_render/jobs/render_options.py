@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from wlr_render.draw.frame_layers import Layer
+from wlr_render.draw.painters import RESOLUTION, SUPERSAMPLE
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.options import (
@@ -85,7 +86,7 @@ class RenderOptions(SpreadOptions):
         ),
         Range(1, 12),
         OnlyWith("method", ("raytrace",)),
-    ] = 2
+    ] = SUPERSAMPLE
     shadows: Annotated[
         bool,
         described("Draw shadows (raytrace only).", flag=True, group=_DRAWING),
@@ -121,7 +122,7 @@ class RenderOptions(SpreadOptions):
         ),
         Range(above=0, at_most=4),
         OnlyWith("method", ("raster",)),
-    ] = 2.75
+    ] = RESOLUTION
     maps: Annotated[
         Literal["tiff", "pfm"] | None,
         described(
