@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from wlr_render.draw.painters import Frame, TracedPainter
+from wlr_render.draw.painters import RESOLUTION, SUPERSAMPLE, Frame, TracedPainter
 from wlr_render.draw.raster_painter import WarpedPainter
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.draw.scene_raster import open_scene_raster
@@ -13,13 +13,12 @@ from wlr_render.errors import BadInputError
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.scene.scene import Scene
-from wlr_render.warp.ray_map import checked_viewpoint
+from wlr_render.warp.raster_camera import intermediate_camera
+from wlr_render.warp.ray_map import checked_viewpoint, middle_axes
 
 FrameMethod = Literal["raytrace", "raster"]
 
-_RESOLUTION = 2.75
-"""Resolution of the intermediate image, which covers more than the panel's field of view: North Star's has 4 pixels to
-a pixel of the panel."""
+_LARGEST_SIDE_PX = 8192  # longest side of the intermediate image: 0.8 GB of colours and depths
 
 _renderer_of = lru_cache(maxsize=2)(RayRenderer)  # keeps the acceleration structure of the scene
 
@@ -30,6 +29,14 @@ def _traced_painter(eye: Eye, scene: Scene, shadows: bool, supersample: int) -> 
     return TracedPainter(eye, _renderer_of(scene), supersample, shadows)
 
 
+def _resolution(eye: Eye, largest_px: int) -> float:
+    """Return the largest resolution up to `RESOLUTION` at which no side exceeds `largest_px` and 8192 pixels."""
+    panel = eye.display.panel
+    camera = intermediate_camera((eye,), middle_axes(eye), RESOLUTION, (panel.width_px, panel.height_px), 0.0)
+    without_margin = min(largest_px, _LARGEST_SIDE_PX) - 4  # the camera's margin of two pixels is of any resolution
+    return RESOLUTION * min(1.0, without_margin / max(camera.size_px))
+
+
 def render(
     eye: Eye,
     scene: Scene,
@@ -38,7 +45,7 @@ def render(
     *,
     method: FrameMethod = "raytrace",
     shadows: bool = True,
-    supersample: int = 2,
+    supersample: int = SUPERSAMPLE,
     with_geometry: bool = False,
 ) -> Frame:
     """Draw the image that an eye's panel must show so that a scene appears fixed in the world.
@@ -50,8 +57,8 @@ def render(
         scene: from `load_scene`.
         viewpoint: (3,) centre of the entrance pupil in the device frame, metres; the centre of the eye box by default.
         world_from_device: (4, 4) head pose; the identity by default.
-        method: "raytrace" follows the world ray of every panel pixel. "raster" draws an intermediate image with OpenGL
-            and warps it; without OpenGL the frame is ray traced.
+        method: "raytrace" follows the world ray of every panel pixel. "raster" draws an intermediate image with OpenGL,
+            of at most 8192 pixels along each axis, and warps it; without OpenGL the frame is ray traced.
         shadows: whether to draw shadows (ray-traced frames only).
         supersample: rays per pixel along each axis where a pixel differs from its neighbours by more than 8 codes;
             elsewhere one (ray-traced frames only).
@@ -75,7 +82,8 @@ def render(
     if raster is None:
         return _traced_painter(eye, scene, shadows, supersample).paint(at, pose, with_geometry)
     try:
-        frame = WarpedPainter(eye, raster, _RESOLUTION).paint(at, pose, with_geometry)
+        resolution = _resolution(eye, raster.context.largest_side_px)
+        frame = WarpedPainter(eye, raster, resolution).paint(at, pose, with_geometry)
         _ = frame.colour  # is read while the context exists
         return frame
     finally:
