@@ -56,7 +56,7 @@ const float MAX_STEPS = 64.0;
 const int MAX_REFINEMENTS = 6;
 const float CONVERGED_PX = 0.01;
 const float SURFACE_STEP = 0.02;  // texels whose inverse depths differ by a larger share belong to different surfaces
-const float SPACING_PX = 1.25;  // a display pixel that covers more of the picture along any direction gets all samples
+const float SPACING_PX = 1.25;  // largest distance of samples in the picture
 
 float inverse_depth_of_texel(vec2 texel)
 {
@@ -149,7 +149,7 @@ void main()
     colour = background;
     if (source.z == 0.0)
         return;
-    int n = largest_stretch(across, down) > SPACING_PX ? samples_per_axis : 1;
+    int n = clamp(int(ceil(largest_stretch(across, down) / SPACING_PX)), 1, samples_per_axis);
     vec4 sum = vec4(0.0);
     for (int i = 0; i < n * n; ++i) {
         vec2 place = (vec2(i % n, i / n) + 0.5) / float(n) - 0.5;

@@ -47,7 +47,7 @@ const MAX_STEPS = 64.0;
 const MAX_REFINEMENTS = 6;
 const CONVERGED_PX = 0.01;
 const SURFACE_STEP = 0.02;  // texels whose inverse depths differ by a larger share belong to different surfaces
-const SPACING_PX = 1.25;  // a display pixel that covers more of the picture along any direction gets all samples
+const SPACING_PX = 1.25;  // largest distance of samples in the picture
 
 fn inverse_depth_of_texel(texel: vec2i) -> f32 {
     let last = vec2i(textureDimensions(depth)) - 1;
@@ -143,7 +143,7 @@ fn fragment(corner: Corner) -> @location(0) vec4f {
         return warp.background;
     }
     let per_px = 1.0 / vec2f(textureDimensions(picture));
-    let n = select(1u, warp.samples_per_axis, largest_stretch(across, down) > SPACING_PX);
+    let n = clamp(u32(ceil(largest_stretch(across, down) / SPACING_PX)), 1u, warp.samples_per_axis);
     var sum = vec4f(0.0);
     for (var i = 0u; i < n * n; i++) {
         let place = (vec2f(f32(i % n), f32(i / n)) + 0.5) / f32(n) - 0.5;

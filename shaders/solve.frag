@@ -3,17 +3,19 @@
 // The world ray of each point of a grid on the panel under a planar bundle; warp/gl_ray_maps.py has the words.
 
 uniform sampler2D terms;  // coefficients at each point: rows of t, A and B, two terms in a texel, the highest powers first
-uniform vec4 display_box[2];    // centre of (u, v, x, y), and what one of them is in scaled units
-uniform vec4 deviation_box[2];  // the same of (x, y, tx, ty)
-uniform vec2 first_px;  // panel position of the first point
-uniform vec2 step_px;
-uniform vec3 viewpoint;
-uniform float behind_display_plane;  // metres from the base plane back to the viewpoint, along +z
-uniform float behind_see_through_plane;
-uniform vec2 display_plane_slope;  // rise of the base plane's z per metre of x and y
-uniform vec2 see_through_plane_slope;
-uniform bool viewpoint_inside;
-uniform mat3 camera_from_device;
+// All other inputs in one array, which one call of OpenGL writes: several eyes share the program.
+uniform vec4 inputs_of_eye[11];
+vec4 display_box[2] = vec4[](inputs_of_eye[0], inputs_of_eye[1]);    // centre of (u, v, x, y), and what one of them is in scaled units
+vec4 deviation_box[2] = vec4[](inputs_of_eye[2], inputs_of_eye[3]);  // the same of (x, y, tx, ty)
+vec2 first_px = inputs_of_eye[4].xy;  // panel position of the first point
+vec2 step_px = inputs_of_eye[4].zw;
+vec2 display_plane_slope = inputs_of_eye[5].xy;  // rise of the base plane's z per metre of x and y
+vec2 see_through_plane_slope = inputs_of_eye[5].zw;
+vec3 viewpoint = inputs_of_eye[6].xyz;
+bool viewpoint_inside = inputs_of_eye[6].w == 1.0;
+float behind_display_plane = inputs_of_eye[7].x;  // metres from the base plane back to the viewpoint, along +z
+float behind_see_through_plane = inputs_of_eye[7].y;
+mat3 camera_from_device = transpose(mat3(inputs_of_eye[8].xyz, inputs_of_eye[9].xyz, inputs_of_eye[10].xyz));
 
 layout(location = 0) out vec4 slope_offset;  // a, b, c, d
 layout(location = 1) out uint status;

@@ -141,30 +141,28 @@ class GlPlanarSolver:
     def solve(self, viewpoint: FloatArray) -> GpuRayMap:
         """Solve a ray map in the shader; see `RayMapSolver.solve`."""
         viewpoint = checked_viewpoint(viewpoint)
-        display, see_through = self._display, self._see_through
         program = self._solve.program
         with self._context.drawing():
             gl.bind_textures(program, terms=self._texture)
-            gl.set_uniforms(
-                program,
-                first_px=tuple(self._warp_grid.first_px),
-                step_px=tuple(self._warp_grid.step_px),
-                display_plane_slope=tuple(map(float, display.place.slope)),
-                see_through_plane_slope=tuple(map(float, see_through.place.slope)),
-                viewpoint=tuple(viewpoint),
-                behind_display_plane=float(display.place.height_of(viewpoint)),
-                behind_see_through_plane=float(see_through.place.height_of(viewpoint)),
-                viewpoint_inside=all(
-                    each.eye_box.contains(viewpoint, EYE_BOX_MARGIN) for each in (display, see_through)
-                ),
-            )
-            for name, model in (("display_box", display), ("deviation_box", see_through)):
-                box = model.modelled.box
-                gl.set_array(program, name, [0.5 * (box.low + box.high), box.per_unit])
-            gl.set_matrix(program, "camera_from_device", self._device_from_camera.T)
+            gl.set_array(program, "inputs_of_eye", self._inputs(viewpoint))
             self._solve.fill(self._target)
         slope_offset, status = self._target.textures
         return GpuRayMap(self._warp_grid, slope_offset, self._context, viewpoint, self._device_from_camera, status)
+
+    def _inputs(self, viewpoint: FloatArray) -> FloatArray:
+        """Return the rows (11, 4) of the shader's `inputs_of_eye`."""
+        display, see_through, grid = self._display, self._see_through, self._warp_grid
+        inside = all(each.eye_box.contains(viewpoint, EYE_BOX_MARGIN) for each in (display, see_through))
+        boxes = [model.modelled.box for model in (display, see_through)]
+        heights = [model.place.height_of(viewpoint) for model in (display, see_through)]
+        rows = np.zeros((11, 4))
+        rows[:4] = [row for box in boxes for row in (0.5 * (box.low + box.high), box.per_unit)]
+        rows[4] = *grid.first_px, *grid.step_px
+        rows[5] = *display.place.slope, *see_through.place.slope
+        rows[6] = *viewpoint, float(inside)
+        rows[7, :2] = heights
+        rows[8:, :3] = self._device_from_camera.T
+        return rows
 
 
 def _interpolation(box: Box, degree: int) -> tuple[FloatArray, FloatArray]:
