@@ -120,6 +120,25 @@ float meet(vec2 at_infinity, vec2 shift)
     return last_crossing;
 }
 
+// Where to read colour near a pixel: among the four texels around it, those of another surface than the one at this
+// inverse depth take no part, unless they lie within half a pixel of it. An edge that has moved leaves no trace.
+vec2 place_on_surface(vec2 pixel, float surface, float half_px)
+{
+    vec2 base = floor(pixel - 0.5);
+    vec2 weight = pixel - 0.5 - base;
+    vec4 texels = vec4(inverse_depth_of_texel(base), inverse_depth_of_texel(base + vec2(1.0, 0.0)),
+                       inverse_depth_of_texel(base + vec2(0.0, 1.0)), inverse_depth_of_texel(base + vec2(1.0, 1.0)));
+    vec4 belongs = vec4(lessThanEqual(abs(texels - surface), max(SURFACE_STEP * max(texels, surface), half_px)));
+    vec4 share = belongs * vec4(1.0 - weight.x, weight.x, 1.0 - weight.x, weight.x) * vec4(1.0 - weight.yy, weight.yy);
+    float largest = max(max(share.x, share.y), max(share.z, share.w));
+    vec2 own = vec2(max(share.y, share.w) == largest, max(share.z, share.w) == largest);
+    float row = mix(belongs.x * belongs.y, belongs.z * belongs.w, own.y);
+    float column = mix(belongs.x * belongs.z, belongs.y * belongs.w, own.x);
+    bool all_belong = belongs.x * belongs.y * belongs.z * belongs.w == 1.0;
+    vec2 moved = row == 1.0 ? vec2(weight.x, own.y) : column == 1.0 ? vec2(own.x, weight.y) : own;
+    return base + 0.5 + (all_belong || largest == 0.0 ? weight : moved);
+}
+
 // The position in the picture, in pixels, v down from the top row; z is 1 where the picture shows something.
 vec3 source_of_ray()
 {
@@ -149,11 +168,13 @@ void main()
     colour = background;
     if (source.z == 0.0)
         return;
+    float surface = inverse_depth_of_texel(floor(source.xy));
+    float half_px = 0.5 / max(length(start.xy - start.z * at_infinity), 1e-12);  // as an inverse depth
     int n = clamp(int(ceil(largest_stretch(across, down) / SPACING_PX)), 1, samples_per_axis);
     vec4 sum = vec4(0.0);
     for (int i = 0; i < n * n; ++i) {
         vec2 place = (vec2(i % n, i / n) + 0.5) / float(n) - 0.5;
-        vec2 pixel = source.xy + place.x * across + place.y * down;
+        vec2 pixel = place_on_surface(source.xy + place.x * across + place.y * down, surface, half_px);
         sum += textureLod(picture, pixel * texture_from_pixel.xy + texture_from_pixel.zw, 0.0);
     }
     colour = sum / float(n * n);

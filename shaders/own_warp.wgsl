@@ -112,6 +112,27 @@ fn meet(at_infinity: vec2f, shift: vec2f) -> f32 {
     return last_crossing;
 }
 
+// Where to read colour near a pixel: among the four texels around it, those of another surface than the one at this
+// inverse depth take no part, unless they lie within half a pixel of it. An edge that has moved leaves no trace.
+fn place_on_surface(pixel: vec2f, surface: f32, half_px: f32) -> vec2f {
+    let base = floor(pixel - 0.5);
+    let weight = pixel - 0.5 - base;
+    let texel = vec2i(base);
+    let texels = vec4f(inverse_depth_of_texel(texel), inverse_depth_of_texel(texel + vec2i(1, 0)),
+                       inverse_depth_of_texel(texel + vec2i(0, 1)), inverse_depth_of_texel(texel + vec2i(1, 1)));
+    let step = max(SURFACE_STEP * max(texels, vec4f(surface)), vec4f(half_px));
+    let belongs = select(vec4f(0.0), vec4f(1.0), abs(texels - surface) <= step);
+    let share = belongs * vec4f(1.0 - weight.x, weight.x, 1.0 - weight.x, weight.x) * vec4f(1.0 - weight.yy, weight.yy);
+    let largest = max(max(share.x, share.y), max(share.z, share.w));
+    let own = vec2f(select(0.0, 1.0, max(share.y, share.w) == largest), select(0.0, 1.0, max(share.z, share.w) == largest));
+    let row = mix(belongs.x * belongs.y, belongs.z * belongs.w, own.y);
+    let column = mix(belongs.x * belongs.z, belongs.y * belongs.w, own.x);
+    let all_belong = belongs.x * belongs.y * belongs.z * belongs.w == 1.0;
+    let in_column = select(own, vec2f(own.x, weight.y), column == 1.0);
+    let moved = select(in_column, vec2f(weight.x, own.y), row == 1.0);
+    return base + 0.5 + select(moved, weight, all_belong || largest == 0.0);
+}
+
 // The position in the picture, in pixels, v down from the top row; z is 1 where the picture shows something.
 fn source_of(corner: Corner) -> vec3f {
     let size_px = vec2f(textureDimensions(picture));
@@ -143,11 +164,13 @@ fn fragment(corner: Corner) -> @location(0) vec4f {
         return warp.background;
     }
     let per_px = 1.0 / vec2f(textureDimensions(picture));
+    let surface = inverse_depth_of_texel(vec2i(floor(source.xy)));
+    let half_px = 0.5 / max(length(corner.start.xy - corner.start.z * at_infinity), 1e-12);  // as an inverse depth
     let n = clamp(u32(ceil(largest_stretch(across, down) / SPACING_PX)), 1u, warp.samples_per_axis);
     var sum = vec4f(0.0);
     for (var i = 0u; i < n * n; i++) {
         let place = (vec2f(f32(i % n), f32(i / n)) + 0.5) / f32(n) - 0.5;
-        let pixel = source.xy + place.x * across + place.y * down;
+        let pixel = place_on_surface(source.xy + place.x * across + place.y * down, surface, half_px);
         sum += textureSampleLevel(picture, between_texels, pixel * per_px, 0.0);
     }
     return sum / f32(n * n);

@@ -2,13 +2,13 @@
 #include "texels.glsl"
 // The pyramid of smallest and largest values that ranges.glsl reads, from those of the tiles.
 //
-// Levels lie side by side, with n, n / 2, ... 2 texels along each axis; n is the target's height. A place holds the bounds
-// of the four texels around its upper left corner, so that one read gets them. Tiles beyond the image repeat its last
-// ones. The finest level's texels cover two tiles along each axis; those of coarse levels cover whole large tiles.
+// Levels lie side by side, with n, n / 2, ... 2 texels along each axis; n is the first of 4, 8, 16, ... of which two cover
+// the tiles. A place holds the bounds of the four texels around its upper left corner, so that one read gets
+// them. Tiles beyond the image repeat its last ones. The finest level's texels cover two tiles along each axis; those
+// of coarse levels cover whole large tiles.
 
 uniform sampler2D tiles;
-uniform sampler2D large_tiles;  // of TILE x TILE tiles
-uniform int target_height;  // 0: make the large tiles
+uniform sampler2D large_tiles;  // of TILE x TILE tiles; the image itself while these are made
 
 layout(location = 0) out vec2 range;
 
@@ -33,11 +33,15 @@ vec2 range_of(sampler2D tiles, ivec2 corner, int count)
 void main()
 {
     ivec2 place = ivec2(gl_FragCoord.xy);
-    if (target_height == 0) {
+    // A uniform in place of the sizes would cost two calls of OpenGL in each pass.
+    ivec2 size = textureSize(tiles, 0);
+    if (any(greaterThan(textureSize(large_tiles, 0), size))) {
         range = range_of(tiles, 2 * place + 1, TILE / 2);
         return;
     }
-    int side = target_height, tiles_per_texel = 2;
+    int side = 4, tiles_per_texel = 2;
+    while (2 * side < max(size.x, size.y))
+        side *= 2;
     while (place.x >= side && side > 2) {
         place.x -= side;
         side /= 2;

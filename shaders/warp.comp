@@ -27,33 +27,35 @@ void sides_of_pixel(const int channel, out vec2 across, out vec2 down)
 
 #include "warp.glsl"
 
-// Along the sides of a cell's triangle, per cell.
-vec4 interpolated(vec4 corner, vec4 along_row, vec4 along_column, vec2 from_corner)
+// A triangle of a cell: the corner at its right angle, the steps to the two others, and the pixel's distance along these.
+struct Triangle {
+    ivec2 corner, beside, below;
+    vec2 place;
+};
+
+vec4 interpolated(sampler2D values, Triangle triangle)
 {
-    return corner + from_corner.x * along_row + from_corner.y * along_column;
+    vec4 at_corner = fetched(values, triangle.corner);
+    vec4 along_row = fetched(values, triangle.corner + triangle.beside) - at_corner;
+    vec4 along_column = fetched(values, triangle.corner + triangle.below) - at_corner;
+    return at_corner + triangle.place.x * along_row + triangle.place.y * along_column;
 }
 
 void find_channel(const int channel, ivec2 upper_left, vec2 cells_per_pixel)
 {
     vec2 within = grid_place - cell;
-    int triangle = within.x + within.y < 1.0 ? 0 : 1;
-    known[channel] = is_triangle_known(channel, upper_left, triangle);
-    // The corner at the right angle, and where the two others lie from it.
-    ivec2 first = upper_left + ivec2(triangle, triangle + channel * grid_points().y);
-    ivec2 beside = ivec2(1 - 2 * triangle, 0), below = beside.yx;
-    vec2 from_corner = triangle == 0 ? within : 1.0 - within;
-    vec4 at_corner = fetched(paths, first);
-    vec4 along_row = fetched(paths, first + beside) - at_corner, along_column = fetched(paths, first + below) - at_corner;
-    path[channel] = interpolated(at_corner, along_row, along_column, from_corner);
-    float to_right = float(1 - 2 * triangle);
-    across_and_down[channel] = to_right * vec4(along_row.xy * cells_per_pixel.x, along_column.xy * cells_per_pixel.y);
-    vec4 bend_there = fetched(bends, first);
-    bend[channel] = interpolated(
-        bend_there, fetched(bends, first + beside) - bend_there, fetched(bends, first + below) - bend_there, from_corner);
-    vec4 mixed = fetched(mixed_bends_and_ranges, first);
-    mixed_bend[channel] = interpolated(
-        mixed, fetched(mixed_bends_and_ranges, first + beside) - mixed, fetched(mixed_bends_and_ranges, first + below) - mixed,
-        from_corner).xy;
+    bool is_first = within.x + within.y < 1.0;
+    int forwards = is_first ? 1 : -1, lower = is_first ? 0 : 1;
+    ivec2 corner = upper_left + ivec2(lower, lower + channel * grid_points().y);
+    Triangle triangle = Triangle(corner, ivec2(forwards, 0), ivec2(0, forwards), is_first ? within : 1.0 - within);
+    known[channel] = is_triangle_known(channel, upper_left, lower);
+    path[channel] = interpolated(paths, triangle);
+    bend[channel] = interpolated(bends, triangle);
+    mixed_bend[channel] = interpolated(mixed_bends_and_ranges, triangle).xy;
+    vec2 at_corner = fetched(paths, corner).xy;
+    vec2 across = fetched(paths, corner + triangle.beside).xy - at_corner;
+    vec2 down = fetched(paths, corner + triangle.below).xy - at_corner;
+    across_and_down[channel] = float(forwards) * vec4(across * cells_per_pixel.x, down * cells_per_pixel.y);
 }
 
 void main()

@@ -284,8 +284,8 @@ class GlWarp:
             gl.set_uniforms(program, overlay_count=len(overlays))
         gl.bind_textures(
             program,
-            tiles=cells.ranges.tiles,
             paths=cells.paths,
+            tiles=cells.ranges.tiles,
             bends=cells.bends,
             mixed_bends_and_ranges=cells.mixed_bends_and_ranges,
             picture=image.colour,
@@ -333,7 +333,7 @@ class _GlCells:
         rays = [each.slope_offset for each in ray_maps]
         # The tiles stay on their unit for the warp. Unused samplers share a texture: they must not read a target.
         unused = dict.fromkeys(("row_matrices", "inset_ranges"), rays[0])
-        textures: dict[str, Any] = {"tiles": ranges.tiles, "ranges": ranges.pyramid, "slope_offset": rays, **unused}
+        textures: dict[str, Any] = {"ranges": ranges.pyramid, "tiles": ranges.tiles, "slope_offset": rays, **unused}
         if by_rows:
             rows = self._targets.get("row matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
             rows.write(np.ascontiguousarray(matrices, np.float32))

@@ -107,13 +107,10 @@ class GlDepthRanges:
             return self._last[1]
         size = image.inverse_depth.size
         (tiles,) = self._draw("tiles", self._of_image, _tiled(size), values=image.inverse_depth)
-        gl.set_uniforms(self._of_tiles.program, target_height=0)
-        # The large tiles' sampler has another texture while they are drawn: a shader must not read its target.
         large_size = _tiled(_tiled(size))
-        (large,) = self._draw("large tiles", self._of_tiles, large_size, tiles=tiles, large_tiles=tiles)
+        (large,) = self._draw("large tiles", self._of_tiles, large_size, large_tiles=image.inverse_depth, tiles=tiles)
         side = 1 << max(2, (-(-max(_tiled(size)) // 2) - 1).bit_length())
-        gl.set_uniforms(self._of_tiles.program, target_height=side)
-        (pyramid,) = self._draw("pyramid", self._of_tiles, (2 * side, side), tiles=tiles, large_tiles=large)
+        (pyramid,) = self._draw("pyramid", self._of_tiles, (2 * side, side), large_tiles=large, tiles=tiles)
         self._last = image, DepthRanges(tiles, pyramid)
         return self._last[1]
 

@@ -33,7 +33,6 @@ def egl(gl_context: GlContext) -> None:
         pytest.skip("EGL does not open here.")
 
 
-@pytest.mark.xfail(reason="163 calls: the textures of the ray maps take units from those of the warp", strict=False)
 @pytest.mark.slow
 def test_a_clean_host_has_no_gets_and_few_calls(egl: None, models: Mapping[str, Eye]) -> None:
     clean = measure(models, SIZE, "clean", 2)
