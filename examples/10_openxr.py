@@ -29,6 +29,7 @@ with script_needs("xr"):
 SIZE, FRAMES, NEAR_M, FIXATION_M = (360, 400), 20, 0.05, 1.0
 TO_FIRST_ROW_NS, SCAN_OUT_NS = 15_000_000, 8_000_000
 POSITION_AND_ORIENTATION_VALID = 3
+ANDROID, EXT, FB = "XR_ANDROID_eye_tracking", "XR_EXT_eye_gaze_interaction", "XR_FB_eye_tracking_social"
 STEREO = xr.ViewConfigurationType.PRIMARY_STEREO
 SWAP_CHAIN = sys.argv[1:] == ["swap-chain"]
 
@@ -101,7 +102,7 @@ class Runtime:
         offered = {each.extension_name.decode() for each in xr.enumerate_instance_extension_properties()}
         if missing := set(wanted) - offered:
             raise SystemExit(f"the OpenXR runtime does not offer {', '.join(sorted(missing))}; Monado does.")
-        wanted += {"XR_KHR_convert_timespec_time", "XR_EXT_eye_gaze_interaction"} & offered
+        wanted += {"XR_KHR_convert_timespec_time", ANDROID, EXT, FB} & offered
         about = xr.ApplicationInfo("wlr_render example", 1, "wlr_render", 1, xr.Version(1, 0, 34))
         self.instance = xr.create_instance(
             xr.InstanceCreateInfo(application_info=about, enabled_extension_names=wanted)
@@ -119,16 +120,32 @@ class Runtime:
             for each in (xr.ReferenceSpaceType.LOCAL, xr.ReferenceSpaceType.VIEW)
         )
         self._last_pose = np.eye(4)
-        self._gaze = self._gaze_action(system) if "XR_EXT_eye_gaze_interaction" in wanted else None
+        self.eye_tracking, self._tracker = None, None
+        for name, make in ((ANDROID, self._pupil_tracker), (EXT, self._gaze_action), (FB, self._gaze_tracker)):
+            if self._tracker is None and name in wanted:
+                self.eye_tracking, self._tracker = name, make(system)
+        if self._tracker is None:
+            self.eye_tracking = None
         self._begin()
+
+    def _has(self, system, eye_tracking):
+        """Return a structure of the system's properties, filled by the runtime."""
+        chained = ctypes.cast(ctypes.pointer(eye_tracking), ctypes.c_void_p)
+        properties = xr.SystemProperties(next=chained)
+        xr.raw_functions.xrGetSystemProperties(self.instance, system, ctypes.byref(properties))
+        return eye_tracking
+
+    def _pupil_tracker(self, system):
+        has = self._has(system, xr.SystemEyeTrackingPropertiesANDROID())
+        return xr.create_eye_tracker_android(self.session) if has.supports_eye_tracking else None
+
+    def _gaze_tracker(self, system):
+        has = self._has(system, xr.SystemEyeTrackingPropertiesFB())
+        return xr.create_eye_tracker_fb(self.session) if has.supports_eye_tracking else None
 
     def _gaze_action(self, system):
         """Return action set, action and space of the gaze, or None if the headset has no eye tracker."""
-        property_of_gaze = xr.SystemEyeGazeInteractionPropertiesEXT()
-        chained = ctypes.cast(ctypes.pointer(property_of_gaze), ctypes.c_void_p)
-        properties = xr.SystemProperties(next=chained)
-        xr.raw_functions.xrGetSystemProperties(self.instance, system, ctypes.byref(properties))
-        if not property_of_gaze.supports_eye_gaze_interaction:
+        if not self._has(system, xr.SystemEyeGazeInteractionPropertiesEXT()).supports_eye_gaze_interaction:
             return None
         actions = xr.create_action_set(self.instance, xr.ActionSetCreateInfo("gaze", "gaze", 0))
         made = xr.ActionCreateInfo(
@@ -183,47 +200,62 @@ class Runtime:
             self._last_pose = rigid(located.pose) @ transforms.inverse(device_from_view)
         return self._last_pose
 
-    def recorded(self, at):
-        """Lines of a recording (docs/files.md): head, eyes and gaze as OpenXR locates them at a time."""
-        head = xr.locate_space(self.view, self.world, at)
+    def eyes(self, at):
+        """Return name, flags and pose of each space of the eyes in VIEW space, as recordings have them."""
         _, views = xr.locate_views(self.session, xr.ViewLocateInfo(STEREO, at, self.view))
+        found = [(f"{eye}_view", 3, view.pose) for eye, view in zip(models, views, strict=True)]
+        if self.eye_tracking == ANDROID:
+            eyes = xr.get_fine_tracking_eyes_info_android(self._tracker, xr.EyesGetInfoANDROID(at, self.view))
+            modes = xr.EyeTrackingModeANDROID
+            for eye, mode, each in zip(models, (modes.LEFT, modes.RIGHT), eyes.eyes, strict=True):
+                is_gazing = each.eye_state == xr.EyeStateANDROID.GAZING and eyes.mode in (mode, modes.BOTH)
+                found.append((f"{eye}_pupil", 3 if is_gazing else 0, each.eye_pose))
+        elif self.eye_tracking == FB:
+            gazes = xr.get_eye_gazes_fb(self._tracker, xr.EyeGazesInfoFB(self.view, at))
+            pairs = zip(models, gazes.gaze, strict=True)
+            found += [(f"{eye}_gaze", 3 if each.is_valid else 0, each.gaze_pose) for eye, each in pairs]
+        elif self.eye_tracking == EXT:
+            actions, action, space = self._tracker
+            active = (xr.ActiveActionSet * 1)(xr.ActiveActionSet(actions, 0))
+            located = xr.locate_space(space, self.view, at)
+            try:
+                xr.sync_actions(self.session, xr.ActionsSyncInfo(active_action_sets=active))
+                is_active = xr.get_action_state_pose(self.session, xr.ActionStateGetInfo(action=action)).is_active
+            except xr.exception.SessionNotFocused:
+                is_active = False
+            found.append(("gaze", located.location_flags if is_active else 0, located.pose))
+        valid = POSITION_AND_ORIENTATION_VALID  # else the pose is undefined
+        return [(space, flags, pose if flags & valid == valid else xr.Posef()) for space, flags, pose in found]
+
+    def recorded(self, at):
+        """Lines of a recording (docs/files.md): head and eyes as OpenXR locates them at a time."""
+        head = xr.locate_space(self.view, self.world, at)
         found = [("view", "local", head.location_flags, head.pose)]
-        found += [(f"{eye}_view", "view", 3, view.pose) for eye, view in zip(models, views, strict=True)]
-        if self._gaze:
-            gaze = xr.locate_space(self._gaze[2], self.view, at)
-            found.append(("gaze", "view", gaze.location_flags, gaze.pose))
+        found += [(space, "view", flags, pose) for space, flags, pose in self.eyes(at)]
         for space, base_space, flags, pose in found:
             turn = dict(zip("xyzw", map(float, pose.orientation), strict=True))
             place = dict(zip("xyz", map(float, pose.position), strict=True))
             located = {"locationFlags": int(flags), "pose": {"orientation": turn, "position": place}}
             yield {"time": int(at), "space": space, "base_space": base_space, **located}
 
-    def eye_models(self, at):
-        """Return the turning eye model of each eye; the runtime's view poses locate the pupils that look ahead."""
-        _, views = xr.locate_views(self.session, xr.ViewLocateInfo(STEREO, at, self.view))
-        places = (transforms.apply(device_from_view, rigid(view.pose)[:3, 3]) for view in views)
-        return {eye: wlr.RotatingEye.looking_ahead_from(place) for eye, place in zip(models, places, strict=True)}
-
-    def fixated_point(self, at):
-        """(3,) in the device frame, FIXATION_M along the gaze of both eyes; None while it is not tracked."""
-        if self._gaze is None:
-            return None
-        actions, action, space = self._gaze
-        active = (xr.ActiveActionSet * 1)(xr.ActiveActionSet(actions, 0))
-        try:
-            xr.sync_actions(self.session, xr.ActionsSyncInfo(active_action_sets=active))
-        except xr.exception.SessionNotFocused:
-            return None
-        located = xr.locate_space(space, self.view, at)
-        valid = located.location_flags & POSITION_AND_ORIENTATION_VALID == POSITION_AND_ORIENTATION_VALID
-        if not (valid and xr.get_action_state_pose(self.session, xr.ActionStateGetInfo(action=action)).is_active):
-            return None
-        return transforms.apply(device_from_view @ rigid(located.pose), np.array([0.0, 0.0, -FIXATION_M]))
-
-    @property
-    def tracks_gaze(self):
-        """True if the headset has an eye tracker."""
-        return self._gaze is not None
+    def pupils(self, at):
+        """Return each eye's entrance pupil (3,) in the device frame; None while it is not tracked."""
+        found = {space: (flags, device_from_view @ rigid(pose)) for space, flags, pose in self.eyes(at)}
+        samples = {}
+        for eye in models:
+            turning = wlr.RotatingEye.looking_ahead_from(found[f"{eye}_view"][1][:3, 3])
+            space = next((each for each in (f"{eye}_pupil", f"{eye}_gaze", "gaze") if each in found), f"{eye}_view")
+            flags, device_from_eye = found[space]
+            if flags & POSITION_AND_ORIENTATION_VALID != POSITION_AND_ORIENTATION_VALID:
+                samples[eye] = None
+            elif space in (f"{eye}_pupil", f"{eye}_view"):
+                samples[eye] = device_from_eye[:3, 3]
+            elif space == f"{eye}_gaze":  # OpenXR does not say which point of the eye its position is
+                samples[eye] = turning.viewpoint_of_gaze(-device_from_eye[:3, 2])
+            else:
+                fixated = device_from_eye[:3, 3] - FIXATION_M * device_from_eye[:3, 2]
+                samples[eye] = turning.viewpoint_of_gaze(normalised(fixated - turning.rotation_centre_in_device))
+        return samples
 
 
 class SwapChains:
@@ -292,12 +324,9 @@ for number in range(FRAMES):
     at = chains.begin() if chains else runtime.now() + TO_FIRST_ROW_NS
     started = at if started is None else started
     begun = time.perf_counter()
-    head, point, pupils = runtime.head_pose(at), runtime.fixated_point(at), {}
-    for eye, turning in runtime.eye_models(at).items():
-        if runtime.tracks_gaze:
-            gaze = None if point is None else normalised(point - turning.rotation_centre_in_device)
-            sample = None if gaze is None else turning.viewpoint_of_gaze(gaze)
-        else:
+    head, pupils = runtime.head_pose(at), {}
+    for eye, sample in runtime.pupils(at).items():
+        if runtime.eye_tracking is None:
             sample = synthetic.viewpoint_at(eye, (at - started) * 1e-9 % 10)
         followed = filters[eye].update(at * 1e-9, sample).viewpoint
         pupils[eye] = compositor.within_reach(eye, followed)
@@ -332,8 +361,8 @@ if chains:
     chains.end(at)
 Path("recording.jsonl").write_text("".join(json.dumps(each) + "\n" for each in recording), encoding="utf-8")
 moved_mm = 1e3 * np.ptp(heads, axis=0).max()
-gaze = "tracked by the runtime" if runtime.tracks_gaze else "synthetic, as the runtime tracks no eyes"
-print(f"{runtime.name}: {FRAMES} frames; the head moved {moved_mm:.1f} mm; gaze {gaze}")
+eyes = runtime.eye_tracking or "synthetic, as the runtime tracks none"
+print(f"{runtime.name}: {FRAMES} frames; the head moved {moved_mm:.1f} mm; eyes: {eyes}")
 print(f"milliseconds, median: poses {np.median(pose_ms):.2f}, frame {np.median(frame_ms):.1f}")
 compositor.release()
 print("OpenGL:", ctx.error)

@@ -96,6 +96,34 @@ def test_with_gaze_each_eye_turns_to_the_point_a_metre_along_it(tmp_path: Path) 
         assert pupil[0] > place[0] + 0.002
 
 
+def test_each_eye_turns_along_its_own_gaze(tmp_path: Path) -> None:
+    """To the left eye's right and to the right eye's left: eyes that converge. The gaze of both eyes is not used."""
+    gazes = [line(10**9 * k, "gaze", "view", turn=transforms.rotation_about("x", 0.4)) for k in (0, 1)]
+    for eye, angle in (("left", -0.1), ("right", 0.2)):
+        turn = transforms.rotation_about("y", angle)
+        gazes += [line(10**9 * k, f"{eye}_gaze", "view", (0.3, 0.3, 0.3), turn) for k in (0, 1)]
+    path = recorded(tmp_path, *eyes(0), *eyes(10**9), *gazes, device_from_view=DEVICE_FROM_VIEW.tolist())
+    found = read_eye_trajectory(path)
+    for eye, x, angle in (("left", -0.0315, 0.1), ("right", 0.0315, -0.2)):
+        centre = transforms.apply(DEVICE_FROM_VIEW, np.array([x, 0.0, 0.0])) + [0.0, 0.0, 0.0105]
+        pupil = centre + 0.0105 * DEVICE_FROM_VIEW[:3, :3] @ [np.sin(angle), 0.0, -np.cos(angle)]
+        np.testing.assert_allclose(found.viewpoint_at(eye, 0.5), pupil, atol=1e-12)
+
+
+def test_pupils_are_taken_as_they_are(tmp_path: Path) -> None:
+    """Whatever their orientation, and without use of gaze or views; an eye that is shut makes a gap."""
+    turn = transforms.rotation_about("y", -0.3)
+    lines = [*eyes(0), *eyes(10**9), *(line(10**9 * k, "gaze", "view") for k in (0, 1))]
+    for k in range(6):
+        place = (0.033, 0.001 * k, -0.012)
+        lines.append(line(10_000_000 * k, "right_pupil", "view", place, turn, 0 if k == 3 else 3))
+    found = read_eye_trajectory(recorded(tmp_path, *lines, device_from_view=DEVICE_FROM_VIEW.tolist()))
+    expected = [transforms.apply(DEVICE_FROM_VIEW, np.array([0.033, 0.001 * k, -0.012])) for k in (0, 1.5, 5)]
+    np.testing.assert_allclose(found.viewpoint_at("right", [0.0, 0.015, 0.05]), expected, atol=1e-12)
+    np.testing.assert_allclose(found.gaps_at("right", np.array([0.015, 0.025])).length_s, [0, 0.02], atol=1e-12)
+    assert sorted(found.tracks) == ["left", "right"]
+
+
 @pytest.mark.parametrize(
     ("lines", "complaint"),
     [
@@ -125,6 +153,11 @@ def test_faults_name_the_line(tmp_path: Path, lines: Sequence[dict[str, Any]], c
     [
         ([head(0), head(10**9)], {}, "has no pose of 'left_view' or 'right_view'"),
         ([*eyes(0), *eyes(10**9), line(0, "gaze", "view", turn=transforms.rotation_about("y", 3.0))], {}, "backwards"),
+        (
+            [*eyes(0), line(0, "left_gaze", "view", turn=transforms.rotation_about("x", 2.0)), *eyes(10**9)],
+            {},
+            "'left_gaze' looks backwards",
+        ),
         ([*eyes(0), *eyes(10**9)], {"version": 2}, "has version 2; this program reads version 1"),
         ([*eyes(0), *eyes(10**9)], {"format": "other"}, "'format' is 'other'"),
         ([*eyes(0), *eyes(10**9)], {"device_from_view": [[2, 0, 0, 0]] * 4}, "must be a rigid transform"),

@@ -7,8 +7,9 @@ names of OpenXR's structures; the first line is a header:
     {"time": 1000000000, "space": "view", "base_space": "local", "locationFlags": 15,
      "pose": {"orientation": {"x": 0, "y": 0, "z": 0, "w": 1}, "position": {"x": 0, "y": 0, "z": 0}}}
 
-`time` is XrTime in nanoseconds. The poses of `view` are the head's, in `local`, `stage` or `local_floor`; `left_view`,
-`right_view` (views of xrLocateViews) and `gaze` (XR_EXT_eye_gaze_interaction) are located in `view`. Lines of other
+`time` is XrTime in nanoseconds. The poses of `view` are the head's, in `local`, `stage` or `local_floor`. Located in
+`view` are `left_view` and `right_view` (views of xrLocateViews), `gaze` (XR_EXT_eye_gaze_interaction), `left_gaze` and
+`right_gaze` (XR_FB_eye_tracking_social), `left_pupil` and `right_pupil` (XR_ANDROID_eye_tracking). Lines of other
 spaces are skipped. Lines without valid position and orientation mark a gap. OpenXR and this package use the same axes
 and units, so that only the pose of VIEW space in the device frame is needed: `device_from_view` of the header, 4 rows
 of 4, or the identity.
@@ -36,7 +37,7 @@ SUFFIX = ".jsonl"
 FORMAT, _VERSION = "wlr-openxr-recording", 1
 _KIND = "an OpenXR recording"
 _WORLD_SPACES = ("local", "stage", "local_floor")
-_SPACES = ("view", *(f"{eye}_view" for eye in EYES), "gaze")
+_SPACES = ("view", "gaze", *(f"{eye}_{space}" for eye in EYES for space in ("view", "gaze", "pupil")))
 _VALID = 3  # XR_SPACE_LOCATION_ORIENTATION_VALID_BIT | XR_SPACE_LOCATION_POSITION_VALID_BIT
 _FIXATION_M = 1.0
 """Assumed distance of the point that both eyes fixate, along the gaze."""
@@ -80,42 +81,50 @@ def read_openxr_head(path: str | Path) -> HeadTrajectory:
 
 
 def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
-    """Read the eye trajectories of a recording: from the gaze if it was recorded, else from the positions of the views.
+    """Read the eye trajectories of a recording, from the best that it holds of each eye.
 
-    A view's position is the entrance pupil of an eye that looks ahead. With gaze each eye turns about the point behind
-    that position (`RotatingEye`) towards the point 1 m along the gaze.
+    These are the positions of the pupil; or the gaze of this eye, or else of both, towards which the eye turns about
+    the point behind its view's position (`RotatingEye`); or that position, the entrance pupil of an eye that looks
+    ahead. The gaze of both eyes meets 1 m along it.
 
     Raises:
-        BadInputError: as `read_openxr_head`, or no positions of the views.
+        BadInputError: as `read_openxr_head`, or no positions of the views or pupils.
     """
     device_from_view, located = _read(path)
-    tracks: dict[str, EyeTrack] = {}
-    for eye in EYES:
-        if f"{eye}_view" not in located:
-            continue
-        view = located[f"{eye}_view"]
-        place = transforms.apply(device_from_view, view.position)
-        name = f"{path} ({eye} eye)"
-        require_plausible_motion(name, view.time_s, place, _EYE_FAR_M)
-        if "gaze" in located:
-            gaze = located["gaze"]
-            device_from_gaze = device_from_view @ gaze.poses()
-            fixated = device_from_gaze[:, :3, 3] - _FIXATION_M * device_from_gaze[:, :3, 2]
-            turning = RotatingEye.looking_ahead_from(np.median(place, axis=0))
-            gaze_dir = normalised(fixated - turning.rotation_centre_in_device)
-            if (gaze_dir[:, 2] >= 0).any():
-                raise BadInputError(
-                    f"{path}: the pose of 'gaze' looks backwards; it looks along its -z, and must be located in 'view'."
-                )
-            tracks[eye] = GazeTrack(gaze.time_s, gaze_dir, turning, name, gaze.invalid_s)
-        else:
-            tracks[eye] = ViewpointTrack(view.time_s, place, name, view.invalid_s)
-    if not tracks:
+    tracks = {eye: _eye_track(path, eye, located, device_from_view) for eye in EYES}
+    tracked = {eye: track for eye, track in tracks.items() if track is not None}
+    if not tracked:
         raise BadInputError(
             f"{path}: has no pose of 'left_view' or 'right_view', the positions of the eyes; record "
             "xrLocateViews in VIEW space as well."
         )
-    return EyeTrajectory(tracks, str(path))
+    return EyeTrajectory(tracked, str(path))
+
+
+def _eye_track(
+    path: str | Path, eye: str, located: dict[str, _Located], device_from_view: FloatArray
+) -> EyeTrack | None:
+    name, pupil = f"{path} ({eye} eye)", located.get(f"{eye}_pupil")
+    gaze_space = f"{eye}_gaze" if f"{eye}_gaze" in located else "gaze"
+    eye_places = pupil or located.get(f"{eye}_view")
+    if eye_places is None:
+        return None
+    place = transforms.apply(device_from_view, eye_places.position)
+    require_plausible_motion(name, eye_places.time_s, place, _EYE_FAR_M)
+    if pupil or gaze_space not in located:
+        return ViewpointTrack(eye_places.time_s, place, name, eye_places.invalid_s)
+    gaze = located[gaze_space]
+    device_from_gaze = device_from_view @ gaze.poses()
+    gaze_dir = -device_from_gaze[:, :3, 2]
+    turning = RotatingEye.looking_ahead_from(np.median(place, axis=0))
+    if gaze_space == "gaze":
+        fixated = device_from_gaze[:, :3, 3] + _FIXATION_M * gaze_dir
+        gaze_dir = normalised(fixated - turning.rotation_centre_in_device)
+    if (gaze_dir[:, 2] >= 0).any():
+        raise BadInputError(
+            f"{path}: the pose of '{gaze_space}' looks backwards; it looks along its -z, and must be located in 'view'."
+        )
+    return GazeTrack(gaze.time_s, gaze_dir, turning, name, gaze.invalid_s)
 
 
 def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
