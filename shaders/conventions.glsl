@@ -14,15 +14,6 @@ vec4 clip_of_point(vec3 point, vec4 lens, vec2 size_px, float near)
     return vec4(2.0 * pixel_times_depth / size_px - depth, depth - 2.0 * near, depth);
 }
 
-// 1 / depth of a depth buffer's value, which runs evenly between those of 0 and 1; 0 on the far plane, also if that is
-// at a finite distance, and for what is no depth.
-float inverse_depth_of_depth_buffer(float stored, vec2 of_0_and_1)
-{
-    float far = of_0_and_1.x < of_0_and_1.y ? 0.0 : 1.0;
-    float inverse = (1.0 - stored) * of_0_and_1.x + stored * of_0_and_1.y;
-    return stored != far && inverse > 0.0 ? inverse : 0.0;
-}
-
 // Where a ray (a, b, c, d), which passes through (c, d, 0) with tangents (a, b) in some camera frame, appears in an image:
 // its point at inverse depth w at at_infinity + w shift. NaN if it does not lead forwards there. The rows of the image's
 // camera matrix give u depth, v depth and depth of a point (x, y, z, 1) of the ray's frame.

@@ -9,8 +9,9 @@ uniform vec4 scale;    // of colour and alpha
 uniform float opaque;  // 1 for a picture without alpha
 uniform bool bottom_first;
 uniform bool in_metres;
-uniform vec2 inverse_depth_of_0_and_1;  // where not in metres
+uniform vec2 inverse_depth_of_0_and_1;  // where not in metres; runs evenly between them
 uniform vec2 limits;                    // of the stored depth of a surface; NaN lies outside them
+uniform float nothing;                  // within them, on the far plane
 #if INSET
 uniform sampler2D wider;  // the picture around the inset; gives linear light
 uniform sampler2D wider_inverse_depth;
@@ -45,10 +46,9 @@ void main()
     colour.a = clamp(max(colour.a, opaque), 0.0, 1.0);
     colour.rgb = decodes ? linear_of_srgb(colour.rgb) : colour.rgb;
     float stored = texture(stored_depth, position).r;
-    bool surface = stored >= limits.x && stored <= limits.y;
-    inverse_depth = !surface   ? 0.0
-                    : in_metres ? 1.0 / stored
-                                : inverse_depth_of_depth_buffer(stored, inverse_depth_of_0_and_1);
+    bool surface = stored >= limits.x && stored <= limits.y && stored != nothing;
+    float between = (1.0 - stored) * inverse_depth_of_0_and_1.x + stored * inverse_depth_of_0_and_1.y;
+    inverse_depth = !surface ? 0.0 : in_metres ? 1.0 / stored : max(between, 0.0);
 #if INSET
     // Both pictures are drawn from one place, so that the same is seen in one direction, whatever its depth.
     vec2 place = (gl_FragCoord.xy * wider_from_inset.xy + wider_from_inset.zw) / vec2(textureSize(wider, 0));

@@ -153,6 +153,18 @@ def test_layers_levels_and_samples_of_textures_are_targets(theirs: moderngl.Cont
         shown = np.frombuffer(both.read(level=1), np.uint8).reshape(HEIGHT, 2 * WIDTH, 4)[::-1, :, :3]
         assert_same_but_for_rounding(shown, np.hstack([left, right]))
 
+    wide = theirs.texture((2 * WIDTH + 5, HEIGHT + 4), 4, bytes([7]) * (4 * (2 * WIDTH + 5) * (HEIGHT + 4)))
+    apart = {"left": (0, 3, *SMALL), "right": (WIDTH + 5, 3, *SMALL)}
+    two_eyes.compose({eye: TextureLayer(wide, rect_px=rect) for eye, rect in apart.items()})
+    shown = np.frombuffer(wide.read(), np.uint8).reshape(HEIGHT + 4, -1, 4)[::-1, :, :3]
+    assert_same_but_for_rounding(shown[1:-3, :WIDTH], left)
+    assert_same_but_for_rounding(shown[1:-3, WIDTH + 5 :], right)
+    for untouched in (shown[0], shown[-3:], shown[:, WIDTH : WIDTH + 5]):
+        assert (untouched == 7).all()
+    two_eyes.compose(TextureLayer(wide, rect_px=(4, 1, 2 * WIDTH, HEIGHT)))
+    shown = np.frombuffer(wide.read(), np.uint8).reshape(HEIGHT + 4, -1, 4)[::-1, :, :3]
+    assert_same_but_for_rounding(shown[3:-1, 4:-1], np.hstack([left, right]))
+
     sampled, plain = theirs.texture((2 * WIDTH, HEIGHT), 4, samples=4), theirs.simple_framebuffer((2 * WIDTH, HEIGHT))
     for target in (sampled, theirs.framebuffer([sampled])):
         plain.clear()
@@ -255,6 +267,7 @@ def test_framebuffers_that_cannot_be_drawn_to_are_told_in_a_sentence(
         (TextureLayer(12345), "12345 is no texture"),
         (TextureLayer(theirs.texture_array((*SMALL, 2), 4), layer=2), "has no layer 2; it has 2, counted"),
         (TextureLayer(theirs.texture(SMALL, 4), level=1), "has no level 1; it has 1, counted"),
+        (TextureLayer(theirs.texture(SMALL, 4), rect_px=(0, 1, *SMALL)), "has 72 x 60 pixels; give a rectangle within"),
         (elsewhere_texture, "another OpenGL context"),
         ({"left": theirs.simple_framebuffer(SMALL)}, "no framebuffer for the right eye"),
     ):

@@ -51,6 +51,14 @@ TOLD: dict[str, tuple[StoredDepth, Callable[[FloatArray], FloatArray]]] = {
         StoredDepth(DepthKind.WINDOW, FAR_M, 0.05),
         lambda inverse: buffered(inverse, FAR_M, 0.05, 0),
     ),
+    "window in a part of the range": (
+        StoredDepth(DepthKind.WINDOW, 1.0, FAR_M, min_depth=0.1, max_depth=0.6),
+        lambda inverse: 0.1 + 0.5 * buffered(inverse, 1.0, FAR_M, 1),
+    ),
+    "window reversed in a part of the range": (
+        StoredDepth(DepthKind.WINDOW, np.inf, 0.05, min_depth=0.25, max_depth=1.0),
+        lambda inverse: 0.25 + 0.75 * buffered(inverse, np.inf, 0.05, 0),
+    ),
 }
 
 
@@ -93,6 +101,17 @@ def test_textures_are_read_past_their_own_settings(gl_context: GlContext, take: 
     taken = take.from_textures(CAMERA, encoded, compared, StoredDepth(DepthKind.WINDOW, 1.0)).read()
     np.testing.assert_array_equal(taken.colour, colour[::-1, :, :3])
     np.testing.assert_allclose(taken.inverse_depth, 0.5, rtol=1e-6)
+
+
+def test_what_lies_outside_a_depth_range_is_background(gl_context: GlContext, take: PictureImport) -> None:
+    """As glClearDepth leaves it: the range of glDepthRange does not concern it."""
+    stored = StoredDepth(DepthKind.WINDOW, 1.0, 9.0, min_depth=0.25, max_depth=0.5)
+    values = np.array([0.0, 0.2, 0.25, 0.375, 0.5, 0.6, 1.0], np.float32)
+    with gl_context.drawing() as ctx:
+        row = np.resize(values, SIZE[0])
+        colour, depth = ctx.texture(SIZE, 4), ctx.texture(SIZE, 1, np.tile(row, (SIZE[1], 1)), dtype="f4")
+    taken = take.from_textures(CAMERA, colour, depth, stored).read().inverse_depth[0, :7]
+    np.testing.assert_allclose(taken, [0, 0, 1, 5 / 9, 0, 0, 0], rtol=1e-6)
 
 
 def framebuffer(

@@ -93,6 +93,30 @@ def test_a_mip_level(gl_context: GlContext, take: PictureImport) -> None:
     assert_taken(take.take(CAMERA, TextureLayer(colour, level=2), TextureLayer(depth, level=1), INVERSE))
 
 
+def test_rectangles_of_textures(gl_context: GlContext, take: PictureImport) -> None:
+    """Both eyes in one texture, layers of an array, and a depth in another place than the colours."""
+    wide, first = (
+        np.full((HEIGHT + 5, 2 * WIDTH + 3, 4), 9, np.uint8),
+        np.full((HEIGHT + 2, WIDTH + 1), 0.5, np.float32),
+    )
+    wide[4 : 4 + HEIGHT, WIDTH + 3 :], first[2:, 1:] = COLOURS, DEPTHS
+    with gl_context.drawing() as ctx:
+        colour = ctx.texture((2 * WIDTH + 3, HEIGHT + 5), 4, wide, alignment=1)
+        array = ctx.texture_array((2 * WIDTH + 3, HEIGHT + 5, 2), 4, np.stack([0 * wide, wide]), alignment=1)
+        depth = ctx.texture((WIDTH + 1, HEIGHT + 2), 1, first, dtype="f4")
+        buffer = ctx.depth_texture((WIDTH + 1, HEIGHT + 2), first)
+    rect, depth_rect = (WIDTH + 3, 4, WIDTH, HEIGHT), (1, 2, WIDTH, HEIGHT)
+    for given in (TextureLayer(colour, rect_px=rect), TextureLayer(array.glo, 1, rect_px=rect)):
+        assert_taken(take.take(CAMERA, given, TextureLayer(depth, rect_px=depth_rect), INVERSE))
+        inverse = 1 / 0.5 + DEPTHS * (1 / 4 - 1 / 0.5)
+        assert_taken(take.take(CAMERA, given, TextureLayer(buffer.glo, rect_px=depth_rect), WINDOW), inverse)
+        assert take.size_of(given) == SIZE
+    aside = take.take(
+        CAMERA, TextureLayer(colour, rect_px=(0, 0, *SIZE)), TextureLayer(depth, rect_px=depth_rect), INVERSE
+    )
+    assert (aside.read().colour == 9).all()
+
+
 def test_multisampled_textures_are_resolved(gl_context: GlContext, take: PictureImport) -> None:
     with gl_context.drawing() as ctx:
         colour, depth = ctx.texture(SIZE, 4, samples=4), ctx.depth_texture(SIZE, samples=4)
@@ -160,6 +184,11 @@ def test_bad_layers_are_refused_in_a_sentence(gl_context: GlContext, take: Pictu
         ((TextureLayer(colour, level=3), depth), r"texture \d+ has no level 3; it has 1, counted from 0"),
         ((TextureLayer(levels, level=30), depth), r"texture \d+ has no level 30; it has 7, counted from 0"),
         ((TextureLayer(several, level=1), depth), r"texture \d+ has no level 1; it has 1, counted from 0"),
+        (
+            (TextureLayer(colour, rect_px=(1, 0, *SIZE)), depth),
+            r"rect_px is \(1, 0, 64, 48\), and texture \d+ has 64 x 48",
+        ),
+        ((TextureLayer(colour, rect_px=(0, 0, 9, 48)), depth), "has 9x48 pixels, the camera 64x48"),
         ((depth.glo, depth.glo), "holds no red, green and blue"),
         ((whole.glo, depth.glo), "whole numbers"),
         ((colour.glo, whole.glo), "holds no depth that can be copied"),
@@ -174,6 +203,9 @@ def test_bad_layers_are_refused_in_a_sentence(gl_context: GlContext, take: Pictu
         ({"texture": 5, "layer": -1}, "layer is -1; give a whole number from 0"),
         ({"texture": 5, "level": 0.5}, "level is 0.5"),
         ({"texture": True}, "texture is a bool"),
+        ({"texture": 5, "rect_px": (0, 0, 8, 0)}, r"rect_px is \(0, 0, 8, 0\); give \(x, y, width, height\)"),
+        ({"texture": 5, "rect_px": (-1, 0, 8, 8)}, r"rect_px is \(-1, 0, 8, 8\)"),
+        ({"texture": 5, "rect_px": (0, 0, 8)}, r"rect_px is \(0, 0, 8\)"),
     ):
         with pytest.raises(BadInputError, match=words):
             TextureLayer(**bad)

@@ -274,8 +274,12 @@ def test_depths_that_are_no_distance_are_refused(compositor: Callable[..., Any],
             StoredDepth(DepthKind.WINDOW, *planes)
         with pytest.raises(BadInputError, match="two different positive distances"):
             camera.projection(*planes)
-    with pytest.raises(BadInputError, match=r"with DepthKind.WINDOW only"):
-        StoredDepth(near_m=0.1, far_m=5.0)
+    for distances in ((0.1, 5.0), (0.0, np.inf, 0.0, 0.5)):
+        with pytest.raises(BadInputError, match=r"with DepthKind.WINDOW only"):
+            StoredDepth(DepthKind.METRES, *distances)
+    for ends in ((0.5, 0.5), (1.0, 0.0), (-0.1, 1.0), (0.0, 1.1), (0.0, np.nan), (False, True)):
+        with pytest.raises(BadInputError, match="the smaller and the larger end of the depth range"):
+            StoredDepth(DepthKind.WINDOW, 0.1, 5.0, *ends)
 
 
 @pytest.mark.gl

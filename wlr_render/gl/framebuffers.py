@@ -46,14 +46,17 @@ class TextureLayer:
         texture: ModernGL's `Texture` or `TextureArray`, or the OpenGL name of a texture.
         layer: of an array texture, whose layer 0 is shown if it is left out; 0 for other textures.
         level: mip level; the picture has that level's size.
+        rect_px: (x, y, width, height) of the picture in it, as `imageRect` of XrSwapchainSubImage: from the column and
+            row that come first in memory, OpenGL's lower left corner. All of it if None.
 
     Raises:
-        BadInputError: `texture` is neither, or layer or level is not a whole number from 0.
+        BadInputError: `texture` is neither, layer or level is not a whole number from 0, or `rect_px` is no rectangle.
     """
 
     texture: Any
     layer: int = 0
     level: int = 0
+    rect_px: tuple[int, int, int, int] | None = None
 
     def __post_init__(self) -> None:
         if not is_number(self.texture) and not isinstance(self.texture, gl.Texture | gl.TextureArray):
@@ -64,6 +67,24 @@ class TextureLayer:
         for name, value in (("layer", self.layer), ("level", self.level)):
             if not is_number(value) or not 0 <= value < 1 << 31:
                 raise BadInputError(f"{name} is {value!r}; give a whole number from 0.")
+        rect: Any = (0, 0, 1, 1) if self.rect_px is None else self.rect_px
+        is_rect = isinstance(rect, tuple) and len(rect) == 4 and all(map(is_number, rect))
+        if not is_rect or min(rect[:2]) < 0 or min(rect[2:]) < 1:
+            raise BadInputError(f"rect_px is {rect!r}; give (x, y, width, height) in whole pixels.")
+
+    def rect_in(self, size_px: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Return the first pixel (x, y) and the size (width, height) of the picture in a level of a size.
+
+        Raises:
+            BadInputError: the rectangle reaches outside.
+        """
+        x, y, width, height = self.rect_px or (0, 0, *size_px)
+        if x + width > size_px[0] or y + height > size_px[1]:
+            raise BadInputError(
+                f"rect_px is {self.rect_px}, and texture {self.name} has {size_px[0]} x {size_px[1]} pixels; give a "
+                "rectangle within it."
+            )
+        return (x, y), (width, height)
 
     @property
     def name(self) -> int:

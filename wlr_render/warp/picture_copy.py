@@ -2,7 +2,7 @@
 
 import ctypes
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from wlr_render.errors import BadInputError
@@ -47,6 +47,7 @@ class _Blit:
     target: gl.Framebuffer
     texture: gl.Texture
     buffers: int
+    first_px: tuple[int, int] = (0, 0)
 
 
 _Blits = tuple[_Blit, ...]  # one for colour, and one for depth if the picture has one
@@ -76,7 +77,8 @@ class PictureCopy:
         fixed = not is_number(framebuffer) and framebuffer.color_attachments is not None
 
         def prepare(old: _Blits | None) -> _Blits:
-            return self._prepare(self._images_of(number), f"framebuffer {number}", size, old)
+            images = [(image, self._ask.size(image), (0, 0)) for image in self._images_of(number)]
+            return self._prepare(images, f"framebuffer {number}", size, old)
 
         return self._copied(self._blits.get([framebuffer if fixed else number], size, prepare), size, stored)
 
@@ -91,26 +93,28 @@ class PictureCopy:
         """
 
         def prepare(old: _Blits | None) -> _Blits:
-            return self._prepare([self._image_of(each) for each in layers], "texture {name}", size, old)
+            return self._prepare([self._part_of(each) for each in layers], "texture {name}", size, old)
 
-        key = (*size, "layers", *((each.layer, each.level) for each in layers))
+        key = (*size, "layers", *((each.layer, each.level, each.rect_px) for each in layers))
         return self._copied(self._blits.get([each.texture for each in layers], key, prepare), size, stored)
 
     def size_of(self, layer: TextureLayer) -> tuple[int, int]:
-        """(width, height) of a layer of a texture.
+        """(width, height) of the picture in a layer of a texture.
 
         Raises:
-            BadInputError: the texture, layer or level does not exist.
+            BadInputError: the texture, layer, level or rectangle does not exist.
         """
-        self._context.take_error()
-        return self._ask.size(self._image_of(layer))
+        return self._part_of(layer)[1]
 
-    def _image_of(self, layer: TextureLayer) -> Image:
+    def _part_of(self, layer: TextureLayer) -> tuple[Image, tuple[int, int], tuple[int, int]]:
+        """Return an image, and size and first pixel of the picture in it."""
         image = Image(layer.name, False, layer.level, layer.layer)
         if not self._ask.exists("Texture", image.name):
             raise BadInputError(f"Number {image.name} is not a texture of this context: submit one that is.")
         self._ask.check_layer(image)
-        return image
+        self._context.take_error()
+        first_px, size = layer.rect_in(self._ask.size(image))
+        return image, size, first_px
 
     def _images_of(self, number: int) -> list[Image]:
         ask, found = self._ask, []
@@ -126,20 +130,25 @@ class PictureCopy:
             found.append(image)
         return found
 
-    def _prepare(self, images: list[Image], what: str, size: tuple[int, int], old: _Blits | None) -> _Blits:
+    def _prepare(
+        self,
+        parts: Sequence[tuple[Image, tuple[int, int], tuple[int, int]]],
+        what: str,
+        size: tuple[int, int],
+        old: _Blits | None,
+    ) -> _Blits:
         self._context.take_error()
-        for image in images:
-            found = self._ask.size(image)
+        for image, found, _ in parts:
             if found != size:
                 raise BadInputError(
                     f"The {what.format(name=image.name)} has {found[0]}x{found[1]} pixels, the camera "
                     f"{size[0]}x{size[1]}: draw with that camera."
                 )
-        sources = [each.source for each in old] if old else [fresh_framebuffer(self._context) for _ in images]
-        blits = [self._colour_blit(images[0], sources[0], what, size)]
-        blits += [self._depth_blit(each, sources[1], what, size) for each in images[1:]]
-        self._new = what.format(name=images[0].name)
-        return tuple(blits)
+        sources = [each.source for each in old] if old else [fresh_framebuffer(self._context) for _ in parts]
+        blits = [self._colour_blit(parts[0][0], sources[0], what, size)]
+        blits += [self._depth_blit(each, sources[1], what, size) for each, _, _ in parts[1:]]
+        self._new = what.format(name=parts[0][0].name)
+        return tuple(replace(blit, first_px=first_px) for blit, (_, _, first_px) in zip(blits, parts, strict=True))
 
     def _colour_blit(self, image: Image, source: gl.Framebuffer, what: str, size: tuple[int, int]) -> _Blit:
         self._ask.bind(source.glo)
@@ -205,6 +214,6 @@ class PictureCopy:
     def _draw(self, blit: _Blit, size: tuple[int, int]) -> None:
         self._ask.bind(blit.source.glo, READ)
         self._ask.bind(blit.target.glo, DRAW)
-        corners = 0, 0, *size
+        x, y = blit.first_px
         copy = self._ask.gl("glBlitFramebuffer", *[_INT] * 8, _UINT, _UINT)
-        copy(*corners, *corners, blit.buffers, _NEAREST)
+        copy(x, y, x + size[0], y + size[1], 0, 0, *size, blit.buffers, _NEAREST)

@@ -176,14 +176,14 @@ class PictureImport:
         """(width, height) of a texture, see `is_texture`.
 
         Raises:
-            BadInputError: the texture has been released or belongs to another context, or the texture, layer or level
-                does not exist.
+            BadInputError: the texture has been released or belongs to another context, or the texture, layer, level or
+                rectangle does not exist.
         """
         layer = texture if isinstance(texture, TextureLayer) else TextureLayer(texture)
         if not is_number(layer.texture):
             _check_context(self._context, "texture", layer.texture)
         if isinstance(layer.texture, gl.Texture) and not layer.level:
-            return layer.texture.size
+            return layer.rect_in(layer.texture.size)[1]
         with self._context.drawing():
             return self._copy.size_of(layer)
 
@@ -275,6 +275,7 @@ class PictureImport:
             in_metres=stored.kind is DepthKind.METRES,
             inverse_depth_of_0_and_1=stored.inverse_of_0_and_1,
             limits=stored.limits,
+            nothing=stored.nothing,
         )
         units = range(2 if given.is_callers or gl.is_srgb(colour) else 0)
         for unit in units:

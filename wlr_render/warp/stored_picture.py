@@ -80,39 +80,51 @@ class StoredDepth:
 
     Attributes:
         kind: of number.
-        near_m, far_m: for WINDOW, the distances stored as 0 and as 1; `far_m` may be infinite. For a reversed depth
-            buffer they change places: (inf, 0.05) stores the near plane as 1.
+        near_m, far_m: for WINDOW, the distances stored as `min_depth` and `max_depth`; `far_m` may be infinite. For a
+            reversed depth buffer they change places: (inf, 0.05) stores the near plane as 1.
+        min_depth, max_depth: for WINDOW, the range of glDepthRange or of a Vulkan or Direct3D viewport; with the
+            distances as in XrCompositionLayerDepthInfoKHR. What is stored outside the range is background.
 
     Raises:
-        BadInputError: WINDOW without two different distances of at least `NEAREST_M`, one of them finite.
+        BadInputError: WINDOW without two different distances of at least `NEAREST_M`, one of them finite, or a range
+            that is not within 0 and 1 and ascends.
     """
 
     kind: DepthKind = DepthKind.METRES
     near_m: float = 0.0
     far_m: float = np.inf
+    min_depth: float = 0.0
+    max_depth: float = 1.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, DepthKind):
             raise BadInputError(f"{self.kind!r} is not a kind of depth; give one of {', '.join(map(str, DepthKind))}.")
         if self.kind is DepthKind.WINDOW:
             check_planes(self.near_m, self.far_m)
-        elif (self.near_m, self.far_m) != (0.0, np.inf):
+            if not (_are_numbers(self.min_depth, self.max_depth) and 0 <= self.min_depth < self.max_depth <= 1):
+                raise BadInputError(
+                    f"min_depth is {shown(self.min_depth)} and max_depth is {shown(self.max_depth)}: give the smaller "
+                    "and the larger end of the depth range, from 0 to 1; a reversed buffer exchanges near_m and far_m."
+                )
+        elif (self.near_m, self.far_m, self.min_depth, self.max_depth) != (0.0, np.inf, 0.0, 1.0):
             raise BadInputError(
-                f"near_m = {shown(self.near_m)} and far_m = {shown(self.far_m)} are used with DepthKind.WINDOW only; "
-                "leave them out, or give that kind."
+                f"near_m = {shown(self.near_m)}, far_m = {shown(self.far_m)}, min_depth and max_depth are used with "
+                "DepthKind.WINDOW only; leave them out, or give that kind."
             )
 
     @cached_property
     def inverse_of_0_and_1(self) -> tuple[float, float]:
-        """1/m of the stored values 0 and 1, for WINDOW and INVERSE."""
-        return (1 / self.near_m, 1 / self.far_m) if self.kind is DepthKind.WINDOW else (0.0, 1.0)
+        """1/m of the stored values 0 and 1, for WINDOW and INVERSE; extrapolated from a depth range."""
+        if self.kind is not DepthKind.WINDOW:
+            return 0.0, 1.0
+        slope = (1 / self.far_m - 1 / self.near_m) / (self.max_depth - self.min_depth)
+        return 1 / self.near_m - slope * self.min_depth, 1 / self.far_m + slope * (1 - self.max_depth)
 
     @property
     def nothing(self) -> float:
         """Stored number of background, in addition to NaN; for INVERSE also 0, the inverse depth of infinity."""
-        at_0, at_1 = self.inverse_of_0_and_1
         if self.kind is DepthKind.WINDOW:
-            return 0.0 if at_0 < at_1 else 1.0
+            return self.min_depth if self.near_m > self.far_m else self.max_depth
         return 0.0 if self.kind is DepthKind.METRES else np.inf
 
     @cached_property
@@ -121,7 +133,7 @@ class StoredDepth:
         largest = np.finfo(np.float32).max
         ends: dict[DepthKind, tuple[float, float]] = {
             DepthKind.METRES: (NEAREST_M, float(largest)),
-            DepthKind.WINDOW: (0.0, 1.0),
+            DepthKind.WINDOW: (self.min_depth, self.max_depth),
             DepthKind.INVERSE: (0.0, 1 / NEAREST_M),
         }
         low, high = ends[self.kind]
@@ -138,12 +150,15 @@ def check_planes(near_m: float, far_m: float) -> None:
         BadInputError: they are not two different distances of at least `NEAREST_M`.
     """
     planes: tuple[object, object] = near_m, far_m
-    numbers = all(isinstance(each, Real) and not isinstance(each, bool) for each in planes)
-    if not numbers or not (near_m >= NEAREST_M and far_m >= NEAREST_M and near_m != far_m):
+    if not _are_numbers(*planes) or not (near_m >= NEAREST_M and far_m >= NEAREST_M and near_m != far_m):
         raise BadInputError(
             f"near_m is {shown(near_m)} and far_m is {shown(far_m)}: give two different positive distances of "
             f"{NEAREST_M:g} m or more, from the projection that draws the depth."
         )
+
+
+def _are_numbers(*values: object) -> bool:
+    return all(isinstance(each, Real) and not isinstance(each, bool) for each in values)
 
 
 def check_colour_array(colour: NDArray[Any], stored: StoredColour) -> None:

@@ -44,14 +44,12 @@ class TargetFramebuffers:
                 raise BadInputError(
                     "both eyes are given the same framebuffer; give each its own, or one of twice the width."
                 )
-            found = {eye: self._of_size(into[eye], size_px) for eye in eyes}
-            return {eye: WarpTarget(framebuffer, (0, 0), size_px, False) for eye, framebuffer in found.items()}
+            return {
+                eye: WarpTarget(self._of_size(into[eye], size_px), _first_px(into[eye]), size_px, False) for eye in eyes
+            }
         width, height = size_px
-        framebuffer = self._of_size(into, (width * len(eyes), height))
-        return {
-            eye: WarpTarget(framebuffer, (index * width, 0), size_px, top_row_first=False)
-            for index, eye in enumerate(eyes)
-        }
+        framebuffer, (x, y) = self._of_size(into, (width * len(eyes), height)), _first_px(into)
+        return {eye: WarpTarget(framebuffer, (x + k * width, y), size_px, False) for k, eye in enumerate(eyes)}
 
     def _of_size(self, into: Any, size_px: tuple[int, int]) -> gl.Framebuffer:
         """Return a framebuffer of ours with the first colour image of a target; the window's own for number 0."""
@@ -67,17 +65,17 @@ class TargetFramebuffers:
                 "the framebuffer belongs to another OpenGL context than the compositor works in; make it in that one."
             )
         if isinstance(into, TextureLayer):
-            image = Image(into.name, False, into.level, into.layer)
-            return self._targets.get(
-                [owner], ("texture", image, size_px), lambda old: self._of_texture(image, size_px, old)
-            )
+            layer = into
+            key = "texture", layer.layer, layer.level, layer.rect_px, size_px
+            return self._targets.get([owner], key, lambda old: self._of_texture(layer, size_px, old))
         number = int(owner if is_number(owner) else owner.glo)
         if not number:
             return self._window()
         fixed = not is_number(owner) and owner.color_attachments is not None
-        key = "framebuffer", size_px
         return self._targets.get(
-            [owner if fixed else number], key, lambda old: self._of_framebuffer(number, size_px, old)
+            [owner if fixed else number],
+            ("framebuffer", size_px),
+            lambda old: self._of_framebuffer(number, size_px, old),
         )
 
     def _window(self) -> gl.Framebuffer:
@@ -109,19 +107,21 @@ class TargetFramebuffers:
         image = ask.image(COLOUR)
         if image is None:
             raise BadInputError(f"the framebuffer's first attachment {_FRACTIONS}")
-        return self._with_image(image, "framebuffer", size_px, old)
+        self._context.take_error()
+        return self._with_image(image, "framebuffer", self._ask.size(image), size_px, old)
 
-    def _of_texture(self, image: Image, size_px: tuple[int, int], old: gl.Framebuffer | None) -> gl.Framebuffer:
+    def _of_texture(self, layer: TextureLayer, size_px: tuple[int, int], old: gl.Framebuffer | None) -> gl.Framebuffer:
+        image = Image(layer.name, False, layer.level, layer.layer)
         if not self._ask.exists("Texture", image.name):
             raise BadInputError(f"number {image.name} is no texture of the OpenGL context; give one that is.")
         self._ask.check_layer(image)
-        return self._with_image(image, f"texture {image.name}", size_px, old)
+        self._context.take_error()
+        size = layer.rect_in(self._ask.size(image))[1]
+        return self._with_image(image, f"texture {image.name}", size, size_px, old)
 
     def _with_image(
-        self, image: Image, what: str, size_px: tuple[int, int], old: gl.Framebuffer | None
+        self, image: Image, what: str, size: tuple[int, int], size_px: tuple[int, int], old: gl.Framebuffer | None
     ) -> gl.Framebuffer:
-        self._context.take_error()
-        size = self._ask.size(image)
         if size != size_px:
             found, needed = (" x ".join(map(str, pixels)) for pixels in (size, size_px))
             raise BadInputError(
@@ -137,7 +137,11 @@ class TargetFramebuffers:
         return framebuffer
 
 
+def _first_px(into: Any) -> tuple[int, int]:
+    return into.rect_px[:2] if isinstance(into, TextureLayer) and into.rect_px else (0, 0)
+
+
 def _identity(into: Any) -> object:
     if isinstance(into, TextureLayer):
-        return into.name, into.layer, into.level
+        return into.name, into.layer, into.level, into.rect_px
     return into if is_number(into) else getattr(into, "glo", id(into))
