@@ -71,7 +71,7 @@ def draw_and_submit(cameras):
         clip_from_world = camera.projection(NEAR_M) @ camera.camera_from_world
         program["clip_from_world"].write(np.ascontiguousarray(clip_from_world.T, np.float32))
         cubes.render(instances=105)
-        compositor.submit(pictures[eye], eye=eye, stored=wlr.StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf))
+    compositor.submit(pictures, stored=wlr.StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf))
 
 
 def egl_binding():

@@ -61,7 +61,7 @@ def with_inset(made: Compositor) -> None:
     source.submit(camera)
     inset = inset_of(camera, 0.6, 2)
     colour = np.random.default_rng(2).integers(0, 255, (*inset.size_px[::-1], 3), dtype=np.uint8)
-    made.submit(colour, None, inset=inset)
+    made.submit(colour, None, camera=inset)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ from wlr_render.warp.view import View
 
 CAMERA = Pinhole(640, 400, np.array([-0.5, -0.3]), np.array([0.7, 0.45]))
 HEAD = transforms.rigid(transforms.rotation_about("y", 0.4), np.array([1.0, 1.6, -2.0]))
-EYE = EyeCamera("left", View(CAMERA, np.array([-0.03, 0.0, 0.01]), HEAD, transforms.rotation_about("x", 0.1)))
+PLACE = np.array([-0.03, 0.0, 0.01])  # in the device
+EYE = EyeCamera("left", View(CAMERA, PLACE, HEAD, transforms.rotation_about("x", 0.1)), PLACE)
 POINTS = np.random.default_rng(0).uniform([-0.5, -0.4, -6], [0.7, 0.4, -0.4], (50, 3))  # camera frame
 
 
@@ -43,6 +44,13 @@ def test_the_borders_lie_at_the_angles_that_openxr_is_told() -> None:
     left, right, up, down = np.tan(EYE.fov_rad)
     corners = np.array([[left, up, -1, 1], [right, down, -1, 1]]) @ EYE.projection(0.1).T
     np.testing.assert_allclose(corners[:, :2] / corners[:, 3:], [[-1, 1], [1, -1]], atol=1e-12)
+
+
+def test_its_pose_in_openxrs_form_takes_points_to_the_world() -> None:
+    """By the formula of a unit quaternion, v + 2 q x (q x v + w v)."""
+    (*vector, w), points = EYE.orientation_xyzw, POINTS
+    turned = points + 2 * np.cross(vector, np.cross(vector, points) + w * points)
+    np.testing.assert_allclose(turned + EYE.position, transforms.apply(EYE.world_from_camera, points), atol=1e-12)
 
 
 def test_the_view_matrix_carries_the_cameras_place_to_the_origin() -> None:

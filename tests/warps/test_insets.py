@@ -60,7 +60,7 @@ def picture(camera: EyeCamera) -> tuple[Float32Array, Float32Array]:
 
 
 def submit(made: Compositor, camera: EyeCamera, inset: EyeCamera | None = None, **given: Any) -> None:
-    made.submit(*picture(inset or camera), stored=INVERSE, stored_colour=LINEAR, inset=inset, **given)
+    made.submit(*picture(inset or camera), stored=INVERSE, stored_colour=LINEAR, camera=inset, **given)
 
 
 def share_of_inset(frame: ComposedFrame, camera: EyeCamera, inset: EyeCamera) -> FloatArray:
@@ -133,7 +133,7 @@ def test_edges_are_as_sharp_as_the_insets_depth(compositor: Callable[..., Any]) 
     frame = wide.compose(pose=LATER, with_source=True)
     inside = share_of_inset(frame, camera, inset) == 1
     shown = {"wide": frame.read(), "sharp": sharp.compose(pose=LATER).read()}
-    wide.submit(rasters[0].draw_on_gpu(inset.view, "inset"), inset=inset)
+    wide.submit(rasters[0].draw_on_gpu(inset.view, "inset"), camera=inset)
     shown["inset"] = wide.compose(pose=LATER).read()
     wrong = {
         name: (np.abs(each.astype(int) - truth.colour).max(axis=-1) > 12)[inside].mean() for name, each in shown.items()
@@ -181,7 +181,7 @@ def test_an_inset_without_depth_has_that_of_the_picture_around_it(compositor: Ca
     expected = made.compose(pose=LATER).read().astype(np.float64)
     again = made.begin_frame(HEAD, viewpoint(planar()))["right"]
     submit(made, again)
-    made.submit(picture(inset)[0], inset=inset_of(again), stored_colour=LINEAR)
+    made.submit(picture(inset)[0], camera=inset_of(again), stored_colour=LINEAR)
     shared = made.compose(pose=LATER).read()
     assert (shared != expected).any()
     # The depth is off by half a pixel of the wide picture at most, which moves the wall's light by so much.
@@ -216,7 +216,7 @@ def test_insets_of_all_kinds_of_pictures(compositor: Callable[..., Any]) -> None
     ):
         frame = made.begin_frame(HEAD, viewpoint(model))["right"]
         submit(made, frame)
-        made.submit(*given, inset=inset_of(frame), **{"stored": INVERSE} | stored)
+        made.submit(*given, camera=inset_of(frame), **{"stored": INVERSE} | stored)
         shown[name] = made.compose(pose=LATER).read().astype(int)
     for name, each in shown.items():
         assert np.abs(each - shown["arrays"]).max() <= 1, name
@@ -229,7 +229,7 @@ def test_alpha_runs_from_one_picture_to_the_other(compositor: Callable[..., Any]
     for each, value in ((camera, 0.25), (inset, 0.75)):
         light, inverse = picture(each)
         rgba = np.concatenate([0.2 * light, np.full_like(light[..., :1], value)], axis=-1)
-        made.submit(rgba, inverse, stored=INVERSE, stored_colour=alpha, inset=None if each is camera else inset)
+        made.submit(rgba, inverse, stored=INVERSE, stored_colour=alpha, camera=None if each is camera else inset)
     frame, shown = made.compose(with_source=True), np.empty((*SIZE[::-1], 4), np.float16)
     frame.read_into(shown)
     share = share_of_inset(frame, camera, inset)
@@ -237,7 +237,7 @@ def test_alpha_runs_from_one_picture_to_the_other(compositor: Callable[..., Any]
     again = made.begin_frame(HEAD, viewpoint(model))["right"]
     submit(made, again)
     with pytest.raises(BadInputError, match="has alpha if and only if the picture around it has"):
-        made.submit(rgba, inverse, stored=INVERSE, stored_colour=alpha, inset=inset_of(again))
+        made.submit(rgba, inverse, stored=INVERSE, stored_colour=alpha, camera=inset_of(again))
 
 
 def test_insets_that_cannot_be_are_refused_and_the_frame_stays(
@@ -270,28 +270,28 @@ def test_insets_that_cannot_be_are_refused_and_the_frame_stays(
     newer = inset_of(other["right"])
     for unlike in (newer, inset):
         with pytest.raises(BadInputError, match="does not show this frame"):
-            made.submit(light, inverse, stored=INVERSE, stored_colour=LINEAR, inset=unlike)
+            made.submit(light, inverse, stored=INVERSE, stored_colour=LINEAR, camera=unlike)
     submit(made, other["right"])
     expected = made.compose().read()
-    theirs = EyeCamera("left", newer.view)
+    theirs = EyeCamera("left", newer.view, newer.viewpoint)
     raster = GlRaster(made.context, scene())
     faults: tuple[tuple[tuple[Any, ...], dict[str, Any], str], ...] = (
-        ((light, inverse), {"inset": inset}, "not of the right eye in this frame"),
-        ((light, inverse), {"inset": theirs}, "not of the right eye in this frame"),
-        ((light, inverse), {"inset": "fovea"}, "give the camera from EyeCamera.inset"),
-        ((light, inverse), {"inset": other["right"]}, "give it more"),
-        ((light[:-1], inverse), {"inset": newer}, "the camera"),
-        ((light, inverse[:, :-1]), {"inset": newer}, "the camera"),
-        ((None,), {"inset": newer}, "cannot be taken from a NoneType"),
-        ((raster.draw_on_gpu(other["right"].view),), {"inset": newer}, "another camera"),
+        ((light, inverse), {"camera": inset}, "not of the right eye in this frame"),
+        ((light, inverse), {"camera": theirs, "eye": "right"}, "of the left eye, and the picture of the right eye"),
+        ((light, inverse), {"camera": "fovea"}, "give what begin_frame, locate_views or EyeCamera.inset"),
+        ((light, inverse), {"camera": other["right"]}, "submitted already in this frame"),
+        ((light[:-1], inverse), {"camera": newer}, "the camera"),
+        ((light, inverse[:, :-1]), {"camera": newer}, "the camera"),
+        ((None,), {"camera": newer}, "cannot be taken from a NoneType"),
+        ((raster.draw_on_gpu(other["right"].view),), {"camera": newer}, "another camera"),
     )
     for given, named, words in faults:
         with pytest.raises(BadInputError, match=words):
             made.submit(*given, stored=INVERSE, stored_colour=LINEAR, **named)
     np.testing.assert_array_equal(made.compose().read(), expected)
-    made.submit(light, inverse, stored=INVERSE, stored_colour=LINEAR, inset=newer)
+    made.submit(light, inverse, stored=INVERSE, stored_colour=LINEAR, camera=newer)
     with pytest.raises(BadInputError, match="submit each inset once"):
-        made.submit(light, inverse, stored=INVERSE, stored_colour=LINEAR, inset=newer)
+        made.submit(light, inverse, stored=INVERSE, stored_colour=LINEAR, camera=newer)
 
 
 def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor: Callable[..., Any]) -> None:
@@ -302,7 +302,7 @@ def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor: Ca
     raster = GlRaster(made.context, scene())
     made.submit(raster.draw_on_gpu(camera.view, "same"))
     with pytest.raises(BadInputError, match="has been drawn over since it was submitted"):
-        made.submit(raster.draw_on_gpu(inset.view, "same"), inset=inset)
+        made.submit(raster.draw_on_gpu(inset.view, "same"), camera=inset)
 
 
 @pytest.mark.slow

@@ -48,7 +48,7 @@ def compose_all_kinds(compositor: Callable[..., Any]) -> None:
     for each in (camera, inset):
         width, height = each.size_px
         picture = np.full((height, width, 3), 90, np.uint8), np.ones((height, width), np.float32)
-        given.submit(*picture, inset=None if each is camera else inset)
+        given.submit(*picture, camera=None if each is camera else inset)
     given.submit_overlay(np.full((4, 4, 4), 90, np.uint8), (0.3, 0.2), world_from_quad=HEAD @ gl_scenes.at(0, 0, -1))
     for given.context.computes in (False, True):
         given.compose(with_source=True)

@@ -15,12 +15,10 @@ import numpy as np
 
 from wlr_render.errors import BadInputError, stacklevel_of_caller
 from wlr_render.gl.gl import GlContext
-from wlr_render.io.input_files import shown
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.checks import (
     check_camera_size,
-    check_inset_field,
     check_stored,
     check_submitted,
     checked_background,
@@ -43,10 +41,10 @@ from wlr_render.warp.eye_camera import EyeCamera
 from wlr_render.warp.frame_handle import FrameHandle, FrameHistory, MotionPredictor, Scan, row_poses
 from wlr_render.warp.gl_backend import GlBackend, HostState
 from wlr_render.warp.gl_warp import MAX_OVERLAYS
-from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.panel_light import SRGB_PANEL, PanelLight
 from wlr_render.warp.raster_camera import EyePlan, RasterPlace
 from wlr_render.warp.stored_picture import CODES, METRES, PREMULTIPLIED, Rows, StoredColour, StoredDepth
+from wlr_render.warp.submitted import pictures_of_eyes
 from wlr_render.warp.view import image_from_ray_map
 
 
@@ -148,16 +146,35 @@ class Compositor:
     ) -> FrameHandle:
         """Start a frame. The last three frames may be submitted, in any order of the eyes.
 
+        Only the eyes whose viewpoints are named have a camera in this frame.
+
+        Returns:
+            The camera to draw with, by eye, as `locate_views`: a mapping, and the handle that `submit` takes.
+
+        Raises:
+            BadInputError: as `locate_views`.
+        """
+        return self._history.begin(self.locate_views(pose, viewpoint, time_s=time_s, predict_s=predict_s))
+
+    def locate_views(
+        self,
+        pose: FloatArray,
+        viewpoint: FloatArray | Mapping[str, FloatArray],
+        *,
+        time_s: float | None = None,
+        predict_s: float = 0.0,
+    ) -> dict[str, EyeCamera]:
+        """Return the cameras to draw with, by eye, without starting a frame: what xrLocateViews is to xrBeginFrame.
+
+        An engine that draws a frame for newer poses than it began with takes its cameras from here, and hands them to
+        `submit`.
+
         Args:
             pose: (4, 4) world_from_device.
-            viewpoint: (3,) entrance pupil in the device frame, metres; by eye if there are two. Only the eyes that are
-                named have a camera in this frame.
+            viewpoint: (3,) entrance pupil in the device frame, metres; by eye if there are two.
             time_s: when pose and viewpoint were measured, in seconds of any clock; for `predict_s`.
             predict_s: draw for the pose and viewpoint this much later, 0 to 0.1 s, predicted at constant velocity from
                 this and the last call with a time (`geometry/pose_prediction.py`).
-
-        Returns:
-            The camera to draw with, by eye: a mapping, and the handle that `submit` takes.
 
         Raises:
             BadInputError: an invalid pose, viewpoint or time, or a viewpoint far outside the eye box.
@@ -165,8 +182,7 @@ class Compositor:
         self._check_alive()
         pose, viewpoints = checked_pose(pose), checked_viewpoints(viewpoint, self._models)
         pose, viewpoints = self._predictor.predict(pose, viewpoints, time_s, predict_s)
-        cameras = {eye: EyeCamera(eye, self._plans[eye].view(at, pose)) for eye, at in viewpoints.items()}
-        return self._history.begin(pose, viewpoints, cameras)
+        return {eye: EyeCamera(eye, self._plans[eye].view(at, pose), at) for eye, at in viewpoints.items()}
 
     def submit(
         self,
@@ -178,9 +194,9 @@ class Compositor:
         rows: Rows | None = None,
         frame: FrameHandle | None = None,
         stored_colour: StoredColour = CODES,
-        inset: EyeCamera | None = None,
+        camera: EyeCamera | Mapping[str, EyeCamera] | None = None,
     ) -> None:
-        """Submit the picture of an eye, drawn with the camera that `begin_frame` returned, or an inset of it.
+        """Submit the picture of an eye or, as dictionaries by eye, of both, drawn with the cameras of `begin_frame`.
 
         Args:
             colour: a numpy array (height, width, 3 or 4) of uint8, uint16, float16 or float32 with its top row first;
@@ -190,7 +206,7 @@ class Compositor:
             depth: a numpy array (height, width) or a texture, unless `colour` holds it. Pixels that hold NaN are
                 background. Numbers outside `StoredDepth.limits` are refused in arrays; in textures, which are not read
                 back, they are background too.
-            eye: may be left out if there is one eye.
+            eye: may be left out if there is one eye, or a camera.
             stored: encoding of the depth; by default metres along the camera's axis with 0 for background, as pyrender
                 returns it.
             rows: which row comes first in memory; by default the top one for arrays, the bottom one for OpenGL's
@@ -198,45 +214,25 @@ class Compositor:
             frame: the frame that it was drawn for; the newest if left out, which is right only while no frames overlap:
                 of pictures other than a `GpuImage` the pose cannot be checked.
             stored_colour: encoding of the colours; 8-bit sRGB codes by default.
-            inset: the camera from `EyeCamera.inset` that drew it, for a sharper picture of a part of the field, shown
-                in place of the eye's picture there. Submit the eye's picture of the frame first, then its insets, each
-                within the last. An inset is copied, also a `GpuImage`; without a depth (arrays, ModernGL's
-                textures, `TextureLayer`; a number alone means a framebuffer) it takes the depth of the picture around
-                it.
+            camera: that drew it, if not the frame's: from `locate_views`, for a pose newer than the frame's; or from
+                `EyeCamera.inset`, for a sharper picture of a part of the field, shown in place of the eye's picture
+                there. Submit the eye's picture of the frame first, then its insets, each within the last. An inset is
+                copied, also a `GpuImage`; without a depth (arrays, ModernGL's textures, `TextureLayer`; a number alone
+                means a framebuffer) it takes the depth of the picture around it.
 
         Raises:
             BadInputError: no frame begun, or one that is older than the last three or than the eye's newest picture; an
                 eye submitted twice or without a camera in the frame; a picture of another size, kind or context; a
-                `GpuImage` of another pose; metres in a depth format; or an inset before the eye's picture, of another
-                pose, outside the picture before it, or not sharper.
+                `GpuImage` of another pose; metres in a depth format; an inset before the eye's picture, of another
+                pose, outside the picture before it, or not sharper; or dictionaries of other eyes. If only the right
+                eye's picture is refused, the left eye has been submitted.
         """
-        handle, eye = self._handle(frame), checked_eye(eye, self.eyes)
+        handle = self._handle(frame)
         check_stored(stored, stored_colour, rows)
-        if eye not in handle:
-            raise BadInputError(f"the {eye} eye has no camera in this frame; name its viewpoint in begin_frame.")
-        if inset is not None:
-            self._submit_inset(inset, handle, eye, colour, depth, stored, rows, stored_colour)
-            return
-        not_copied = colour.colour if isinstance(colour, GpuImage) else None
-        self._history.check_order(handle, eye, not_copied)
+        pictures = pictures_of_eyes(colour, depth, camera, eye, handle, self.eyes)
         with self._backend.working():
-            self._backend.eyes[eye].set_picture(handle[eye].view, colour, depth, stored, rows, stored_colour)
-        self._history.submitted(handle, eye, not_copied)
-
-    def _submit_inset(self, inset: EyeCamera, handle: FrameHandle, eye: str, *picture: Any) -> None:
-        if self._history.shown.get(eye) is not handle:
-            raise BadInputError(f"the {eye} eye does not show this frame; submit its picture before its insets.")
-        if not isinstance(inset, EyeCamera):
-            raise BadInputError(f"inset is {shown(inset)}; give the camera from EyeCamera.inset that drew the picture.")
-        if inset.eye != eye or not np.array_equal(inset.world_from_camera, handle[eye].world_from_camera):
-            raise BadInputError(
-                f"the inset's camera is not of the {eye} eye in this frame; make it with `inset` of the camera that "
-                "begin_frame gave."
-            )
-        shows = self._backend.eyes[eye]
-        check_inset_field(inset.view.camera, shows.sharpest)
-        with self._backend.working():
-            shows.add_inset(inset.view, *picture)
+            for each in pictures:
+                each.show(self._backend.eyes[each.camera.eye], handle, self._history, stored, rows, stored_colour)
 
     def submit_overlay(
         self,
@@ -327,7 +323,7 @@ class Compositor:
             newest, measured = self._predictor.predict(newest, measured, time_s, predict_s)
             viewpoints = self._history.viewpoints | measured
             for eye in chosen:
-                view, at, plan = self._history.shown[eye][eye].view, viewpoints[eye], self._plans[eye]
+                view, at, plan = self._history.drawn[eye].view, viewpoints[eye], self._plans[eye]
                 grid_rows, height_px = plan.warp_grid.grid.rows, self.size_px[1]
                 poses = newest if last_row is None else row_poses(newest, last_row, height_px, grid_rows, scan)
                 moved = image_from_ray_map(view, at, plan.device_from_camera, poses)

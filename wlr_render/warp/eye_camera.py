@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
@@ -22,10 +23,12 @@ class EyeCamera:
     Attributes:
         eye: "left" or "right".
         view: the same as our own renderers take it.
+        viewpoint: (3,) pupil that it was located for, in the device frame, metres.
     """
 
     eye: str
     view: View
+    viewpoint: FloatArray
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -50,18 +53,28 @@ class EyeCamera:
         return self.view.world_from_camera
 
     @property
+    def position(self) -> FloatArray:
+        """(3,) place in the world, metres: `position` of XrView's pose; read-only."""
+        return self.view.position_in_world
+
+    @property
+    def orientation_xyzw(self) -> FloatArray:
+        """(4,) unit quaternion x, y, z, w of the turn from the camera to the world: `orientation` of XrView's pose."""
+        return np.asarray(Rotation.from_matrix(self.world_from_camera[:3, :3]).as_quat())
+
+    @property
     def camera_from_world(self) -> FloatArray:
         """(4, 4), OpenGL's view matrix."""
         return transforms.inverse(self.world_from_camera)
 
     @property
     def fov_rad(self) -> tuple[float, float, float, float]:
-        """Angles of the left, right, upper and lower border from straight ahead, as OpenXR's XrFovf has them."""
+        """Angles of the left, right, upper and lower border from straight ahead, in the order of XrFovf."""
         (left, down), (right, up) = np.arctan([self.view.camera.tangent_min, self.view.camera.tangent_max])
         return float(left), float(right), float(up), float(down)
 
     def inset(self, fov_rad: tuple[float, float, float, float], size_px: tuple[int, int]) -> "EyeCamera":
-        """Return the camera of an inset, a sharper picture of a part of its field: `Compositor.submit(inset=...)`.
+        """Return the camera of an inset, a sharper picture of a part of its field: `Compositor.submit(camera=...)`.
 
         It has this camera's pose, so that one view matrix serves for both.
 
@@ -79,7 +92,7 @@ class EyeCamera:
         check_inset_field(camera, self.view.camera)
         view = self.view
         inset = View(camera, view.position_in_device, view.world_from_device, view.device_from_camera)
-        return EyeCamera(self.eye, inset)
+        return EyeCamera(self.eye, inset, self.viewpoint)
 
     def projection(self, near_m: float, far_m: float = np.inf, zero_to_one: bool = False) -> FloatArray:
         """(4, 4) clip space from the camera frame; OpenGL takes its transpose.

@@ -27,21 +27,27 @@ class FrameHandle(Mapping[str, EyeCamera]):
 
     Attributes:
         number: of the frame, from 1.
-        world_from_device: (4, 4) head pose that it is drawn for.
-        viewpoints: (3,) by eye, device frame, metres.
         cameras: by eye.
         submitted: the eyes whose pictures have been submitted.
     """
 
     number: int
-    world_from_device: FloatArray
-    viewpoints: Mapping[str, FloatArray]
     cameras: Mapping[str, EyeCamera]
     submitted: set[str] = field(default_factory=set)
 
     # Mapping compares by content; a frame is itself alone, and may be a key of a dictionary.
     __eq__ = object.__eq__
     __hash__ = object.__hash__
+
+    @property
+    def world_from_device(self) -> FloatArray:
+        """(4, 4) head pose that it was begun for."""
+        return next(iter(self.cameras.values())).view.world_from_device
+
+    @property
+    def viewpoints(self) -> dict[str, FloatArray]:
+        """(3,) by eye, device frame, metres."""
+        return {eye: camera.viewpoint for eye, camera in self.cameras.items()}
 
     def __getitem__(self, eye: str) -> EyeCamera:
         return self.cameras[eye]
@@ -58,24 +64,24 @@ class FrameHistory:
 
     Attributes:
         shown: by eye, the frame of its newest picture.
+        drawn: by eye, the camera that drew it.
         viewpoints: by eye, its newest viewpoint (3,), device frame.
     """
 
     def __init__(self) -> None:
         self.shown: dict[str, FrameHandle] = {}
+        self.drawn: dict[str, EyeCamera] = {}
         self.viewpoints: dict[str, FloatArray] = {}
         self._frames: list[FrameHandle] = []  # the newest last
         self._not_copied: dict[str, Any] = {}
         self._count = 0
 
-    def begin(
-        self, world_from_device: FloatArray, viewpoints: Mapping[str, FloatArray], cameras: Mapping[str, EyeCamera]
-    ) -> FrameHandle:
+    def begin(self, cameras: Mapping[str, EyeCamera]) -> FrameHandle:
         """Return the handle of a new frame; see `FrameHandle`."""
         self._count += 1
-        handle = FrameHandle(self._count, world_from_device, viewpoints, cameras)
+        handle = FrameHandle(self._count, cameras)
         self._frames = [*self._frames, handle][-HISTORY:]
-        self.viewpoints |= viewpoints
+        self.viewpoints |= handle.viewpoints
         return handle
 
     def frame(self, frame: FrameHandle | None) -> FrameHandle:
@@ -121,10 +127,26 @@ class FrameHistory:
                 "draw_on_gpu(view, eye)."
             )
 
-    def submitted(self, handle: FrameHandle, eye: str, not_copied: Any) -> None:
-        """Record that an eye shows the picture of a frame; arguments as in `check_order`."""
-        handle.submitted.add(eye)
-        self.shown[eye], self._not_copied[eye] = handle, not_copied
+    def check_inset(self, handle: FrameHandle, inset: EyeCamera) -> None:
+        """Check that an inset belongs to the picture of a frame that its eye shows.
+
+        Raises:
+            BadInputError: the eye shows another frame, or its picture was drawn from elsewhere.
+        """
+        eye = inset.eye
+        if self.shown.get(eye) is not handle:
+            raise BadInputError(f"the {eye} eye does not show this frame; submit its picture before its insets.")
+        if not np.array_equal(inset.world_from_camera, self.drawn[eye].world_from_camera):
+            raise BadInputError(
+                f"the inset's camera is not of the {eye} eye in this frame; make it with `inset` of the camera that "
+                "drew the eye's picture."
+            )
+
+    def submitted(self, handle: FrameHandle, camera: EyeCamera, not_copied: Any) -> None:
+        """Record that an eye shows the picture of a frame, drawn with a camera; arguments as in `check_order`."""
+        handle.submitted.add(camera.eye)
+        self.shown[camera.eye], self.drawn[camera.eye] = handle, camera
+        self._not_copied[camera.eye] = not_copied
 
 
 class _Samples:

@@ -74,6 +74,10 @@ class GlEye:
             image = self._import.take(view.camera, colour, depth, stored, rows, stored_colour)
         self._pictures = [WarpedPicture(image, self._plan.samples_per_axis)]
 
+    def is_drawn_whole(self, view: View) -> bool:
+        """Return whether a view is of the eye's whole picture; others are of insets."""
+        return view.camera is self._plan.camera
+
     @property
     def sharpest(self) -> Pinhole:
         """Camera of the picture that was submitted last, around the next inset."""
@@ -82,7 +86,7 @@ class GlEye:
     def add_inset(
         self, view: View, colour: Any, depth: Any, stored: StoredDepth, rows: Rows | None, stored_colour: StoredColour
     ) -> None:
-        """Add a picture of `Compositor.submit(inset=...)`, which lies within the last one."""
+        """Add a picture of `Compositor.submit(camera=...)`, which lies within the last one."""
         self.check_picture()
         wider = self._pictures[-1].image
         if isinstance(colour, GpuImage):

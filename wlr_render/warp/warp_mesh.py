@@ -105,7 +105,8 @@ class WarpMesh:
         Raises:
             BadInputError: an invalid pose or viewpoint, or a viewpoint far outside the eye box.
         """
-        return EyeCamera(self.eye, self._plan.view(self._checked(viewpoint), checked_pose(pose)))
+        at = self._checked(viewpoint)
+        return EyeCamera(self.eye, self._plan.view(at, checked_pose(pose)), at)
 
     def rays(self, viewpoint: FloatArray) -> Float32Array:
         """World rays of the vertices at a viewpoint (3,): (colours, n, 4) float32.
