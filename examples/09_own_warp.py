@@ -1,4 +1,4 @@
-"""Warp in a renderer that is not OpenGL: a WebGPU program draws, and warps with the mesh and the shipped WGSL shader.
+"""Warp in a renderer that is not OpenGL: a WebGPU program draws, and warps with the mesh and the shipped shader.
 
 Needs the extra `wgpu` and a Vulkan, Metal or Direct3D device; lavapipe (mesa-vulkan-drivers) will do.
 """
@@ -50,17 +50,32 @@ def read(texture, dtype):
     return np.frombuffer(values, dtype).reshape(height, width, -1)
 
 
-def pipeline(source, buffers=(), **settings):
-    module = device.create_shader_module(code=source)
-    colour = {"module": module, "targets": [{"format": "rgba8unorm-srgb"}]}
+def pipeline(vertex, fragment, kind, layout="auto", buffers=(), **settings):
     return device.create_render_pipeline(
-        layout="auto", vertex={"module": module, "buffers": buffers}, fragment=colour, **settings
+        layout=layout,
+        vertex={"module": vertex, "buffers": buffers},
+        fragment={"module": fragment, "targets": [{"format": kind}]},
+        **settings,
     )
 
 
-def bound(to, *resources):
+def warp_pipeline(stage, kind, buffers=()):
+    """Of the shipped shader, which GLSL of WebGPU gets without gathers; SPIR-V needs no NO_GATHER."""
+    text = resource("shaders", "own_warp.glsl").read_text(encoding="utf-8")
+    vertex, fragment = (
+        device.create_shader_module(
+            label=each,
+            code=f"#version 450\n#define VULKAN\n#define NO_GATHER\n#define {stage}{each}_STAGE\n{text}",
+        )
+        for each in ("VERTEX", "FRAGMENT")
+    )
+    layout = device.create_pipeline_layout(bind_group_layouts=[warp_bindings])
+    return pipeline(vertex, fragment, kind, layout, buffers)
+
+
+def bound(layout, *resources):
     entries = [{"binding": k, "resource": each} for k, each in enumerate(resources)]
-    return device.create_bind_group(layout=to.get_bind_group_layout(0), entries=entries)
+    return device.create_bind_group(layout=layout, entries=entries)
 
 
 def attributes(components, location):
@@ -78,9 +93,16 @@ camera = mesh.camera(drawn_pose, pupil)
 picture, depth = target(camera.size_px, "rgba8unorm-srgb"), target(camera.size_px, "depth32float")
 panel = target(SIZE, "rgba8unorm-srgb")
 nearer = {"format": "depth32float", "depth_write_enabled": True, "depth_compare": "less"}
-scene = pipeline(SCENE, depth_stencil=nearer)
-warp = pipeline(resource("shaders", "own_warp.wgsl").read_text(encoding="utf-8"), [attributes(2, 0), attributes(4, 1)])
-between = device.create_sampler(mag_filter="linear", min_filter="linear")
+module = device.create_shader_module(code=SCENE)
+scene = pipeline(module, module, "rgba8unorm-srgb", depth_stencil=nearer)
+exact, both = {"texture": {"sample_type": "unfilterable-float"}}, wgpu.ShaderStage.VERTEX | wgpu.ShaderStage.FRAGMENT
+kinds = {"buffer": {}}, {"texture": {}}, exact, exact, {"sampler": {}}, {"sampler": {"type": "non-filtering"}}
+entries = [{"binding": k, "visibility": both, **each} for k, each in enumerate(kinds)]
+warp_bindings = device.create_bind_group_layout(entries=entries)
+to_tiles = warp_pipeline("TILES_", "rg32float")
+warp = warp_pipeline("", "rgba8unorm-srgb", [attributes(2, 0), attributes(4, 1)])
+tiles = target([-(-side // 8) for side in camera.size_px], "rg32float")
+samplers = device.create_sampler(mag_filter="linear", min_filter="linear"), device.create_sampler()
 panel_position = buffer(mesh.panel_position, "VERTEX")
 triangles = buffer(mesh.triangles, "INDEX")
 
@@ -98,20 +120,29 @@ draw = encoder.begin_render_pass(
     },
 )
 draw.set_pipeline(scene)
-draw.set_bind_group(0, bound(scene, {"buffer": buffer(clip_from_world.T.astype(np.float32), "UNIFORM")}))
+draw.set_bind_group(
+    0, bound(scene.get_bind_group_layout(0), {"buffer": buffer(clip_from_world.T.astype(np.float32), "UNIFORM")})
+)
 draw.draw(36, 105)
 draw.end()
 
-# ... and warp for the newest poses. struct Warp of the shader, 24 numbers of four bytes:
-given = np.zeros(24, np.float32)
+# ... find the bounds of the depths in tiles of 8 x 8 pixels ...
+given = np.zeros(28, np.float32)  # struct Warp of the shader
 given[:12] = mesh.image_from_ray(camera, pupil, newest_pose).ravel()
 given[12:16] = 2, -2, -1, 1
-given[16:19] = *STORED.inverse_of_0_and_1, 1 / NEAR_M
-given[19:20].view(np.uint32)[:] = mesh.samples_per_axis
-resources = {"buffer": buffer(given, "UNIFORM")}, picture.create_view(), between, depth.create_view()
+given[16:20] = *STORED.inverse_of_0_and_1, STORED.nothing, 1 / NEAR_M
+given[23:25] = 1, mesh.samples_per_axis
+uniforms, views = {"buffer": buffer(given, "UNIFORM")}, [each.create_view() for each in (picture, depth)]
+draw = encoder.begin_render_pass(color_attachments=[{"view": tiles.create_view(), **cleared}])
+draw.set_pipeline(to_tiles)
+draw.set_bind_group(0, bound(warp_bindings, uniforms, *views, views[1], *samplers))  # has no tiles yet
+draw.draw(3)
+draw.end()
+
+# ... and warp for the newest poses.
 draw = encoder.begin_render_pass(color_attachments=[{"view": panel.create_view(), **cleared}])
 draw.set_pipeline(warp)
-draw.set_bind_group(0, bound(warp, *resources))
+draw.set_bind_group(0, bound(warp_bindings, uniforms, *views, tiles.create_view(), *samplers))
 draw.set_vertex_buffer(0, panel_position)
 draw.set_vertex_buffer(1, buffer(mesh.rays(pupil)[0], "VERTEX"))
 draw.set_index_buffer(triangles, "uint32")

@@ -36,9 +36,9 @@ vec4 path_at(int channel, ivec2 point)
         for (int k = 0; k < 3; ++k)
             matrix[k] = fetched(row_matrices, ivec2(k, point.y));
     vec4 found;
-    project_ray(ray, matrix[0], matrix[1], matrix[2], found.xy, found.zw);
+    bool forwards = project_ray(ray, matrix[0], matrix[1], matrix[2], found.xy, found.zw);
     // By its bits: compilers may take isnan for false.
-    bool known = all(notEqual(floatBitsToUint(found) & 0x7f800000u, uvec4(0x7f800000u)));
+    bool known = forwards && all(notEqual(floatBitsToUint(found) & 0x7f800000u, uvec4(0x7f800000u)));
     return known ? found : vec4(MISSING, 0.0, 0.0, 0.0);
 }
 
@@ -76,14 +76,6 @@ vec2 mixed_difference(int channel, ivec2 point)
         sum += known ? vec3(difference, 1.0) : vec3(0.0);
     }
     return sum.xy / max(sum.z, 1.0);
-}
-
-// Largest singular value: image pixels per display pixel in the direction where they are most.
-float largest_stretch(mat2 image_by_display)
-{
-    float squares = dot(image_by_display[0], image_by_display[0]) + dot(image_by_display[1], image_by_display[1]);
-    float area = determinant(image_by_display);
-    return sqrt(0.5 * (squares + sqrt(max(squares * squares - 4.0 * area * area, 0.0))));
 }
 
 // Bilinear samples of a display pixel along each axis that miss nothing of the image.

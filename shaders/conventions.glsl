@@ -4,26 +4,25 @@
 // projection turns y over and nothing else has to: window row 0 is the image's top row, and gl_FragCoord.xy is the
 // pixel, (0, 0) at the outer corner of the top-left pixel, centres at +0.5.
 
-// lens = (focal_u, focal_v, centre_u, centre_v) in pixels.
-
-// Point in the camera frame (looking along -z) -> clip space, with the far plane at infinity.
-vec4 clip_of_point(vec3 point, vec4 lens, vec2 size_px, float near)
-{
-    float depth = -point.z;
-    vec2 pixel_times_depth = lens.xy * vec2(point.x, -point.y) + lens.zw * depth;
-    return vec4(2.0 * pixel_times_depth / size_px - depth, depth - 2.0 * near, depth);
-}
-
 // Where a ray (a, b, c, d), which passes through (c, d, 0) with tangents (a, b) in some camera frame, appears in an image:
-// its point at inverse depth w at at_infinity + w shift. NaN if it does not lead forwards there. The rows of the image's
+// its point at inverse depth w at at_infinity + w shift. False if it does not lead forwards there. The rows of the image's
 // camera matrix give u depth, v depth and depth of a point (x, y, z, 1) of the ray's frame.
-void project_ray(vec4 ray, vec4 row_u, vec4 row_v, vec4 row_depth, out vec2 at_infinity, out vec2 shift)
+bool project_ray(vec4 ray, vec4 row_u, vec4 row_v, vec4 row_depth, out vec2 at_infinity, out vec2 shift)
 {
     float depth = dot(row_depth.xy, ray.xy) - row_depth.z;
     vec2 forwards = vec2(dot(row_u.xy, ray.xy) - row_u.z, dot(row_v.xy, ray.xy) - row_v.z);
-    at_infinity = forwards * (depth > 0.0 ? 1.0 / depth : uintBitsToFloat(0x7fc00000u));
+    at_infinity = forwards / (depth > 0.0 ? depth : 1.0);
     vec2 start = vec2(dot(row_u.xy, ray.zw) + row_u.w, dot(row_v.xy, ray.zw) + row_v.w);
     shift = start - (dot(row_depth.xy, ray.zw) + row_depth.w) * at_infinity;
+    return depth > 0.0;
+}
+
+// Largest singular value: image pixels per display pixel in the direction where they are most.
+float largest_stretch(mat2 image_by_display)
+{
+    float squares = dot(image_by_display[0], image_by_display[0]) + dot(image_by_display[1], image_by_display[1]);
+    float area = determinant(image_by_display);
+    return sqrt(0.5 * (squares + sqrt(max(squares * squares - 4.0 * area * area, 0.0))));
 }
 
 // The four texels around a pixel position: the upper left one is `base`, `weight` the share of the right, lower ones.
@@ -31,10 +30,4 @@ void bilinear_taps(vec2 pixel, out vec2 base, out vec2 weight)
 {
     base = floor(pixel - 0.5);
     weight = pixel - 0.5 - base;
-}
-
-// The same row counted from the other end, for images that other software drew upwards.
-ivec2 turned_upside_down(ivec2 texel, int height)
-{
-    return ivec2(texel.x, height - 1 - texel.y);
 }

@@ -39,7 +39,7 @@ void main()
 {
     ivec2 size = textureSize(stored_depth, 0), texel = ivec2(gl_FragCoord.xy);
     if (bottom_first)
-        texel = turned_upside_down(texel, size.y);
+        texel.y = size.y - 1 - texel.y;
     // Not texelFetch: it would decode a texture of sRGB.
     vec2 position = (vec2(texel) + 0.5) / vec2(size);
     colour = within_half_floats(scale * texture(stored_colour, position));

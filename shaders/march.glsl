@@ -4,18 +4,23 @@
 // the same reads in each round: software renderers execute both sides of a branch. They may leave the loop for all
 // neighbours at once: so the variables of the result (meets, met, in_front) no longer change once a pixel has stopped.
 
-uniform sampler2D tiles;  // smallest and largest inverse depth of TILE x TILE texels
+TEXTURE(3) tiles;  // smallest and largest inverse depth of TILE x TILE texels
 
 const float NUDGE_PX = 1e-3;  // texels that a path crosses over a shorter length are skipped
 const float MARGIN_PX = float(TILE);
 const float UNKNOWN = -1.0;
+
+float inverse_depth_at(vec2 pixel)
+{
+    return INVERSE_DEPTHS(nearest_sampled(inverse_depth, pixel * per_texel)).x;
+}
 
 float smooth_inverse_depth(vec2 pixel)
 {
     vec2 base, weight;
     bilinear_taps(pixel, base, weight);
     vec2 shared_corner = (base + 1.0) * per_texel;
-    vec4 texels = gathered(inverse_depth, shared_corner);  // lower left, lower right, upper right, upper left
+    vec4 texels = INVERSE_DEPTHS(gathered(inverse_depth, shared_corner));  // lower left, lower right, upper right, upper left
     float high = max(max(texels.x, texels.y), max(texels.z, texels.w));
     float low = min(min(texels.x, texels.y), min(texels.z, texels.w));
     weight = high - low > SURFACE_STEP * high ? step(0.5, weight) : weight;
@@ -34,7 +39,7 @@ vec2 place_on_surface(vec2 pixel, float met, float half_px)
 {
     vec2 base, weight;
     bilinear_taps(pixel, base, weight);
-    vec4 texels = gathered(inverse_depth, (base + 1.0) * per_texel);  // lower left, lower right, upper right, upper left
+    vec4 texels = INVERSE_DEPTHS(gathered(inverse_depth, (base + 1.0) * per_texel));  // in the same order
     vec4 belongs = vec4(lessThanEqual(abs(texels - met), max(SURFACE_STEP * max(texels, met), half_px)));
     vec4 share = belongs * vec4(1.0 - weight.x, weight.xx, 1.0 - weight.x) * vec4(weight.yy, 1.0 - weight.yy);
     float largest = max(max(share.x, share.y), max(share.z, share.w));
@@ -53,7 +58,7 @@ int march(vec2 at_infinity, vec2 shift, out vec2 pixel, out float seen_there, ou
     vec2 nudge = -NUDGE_PX * one_px * shift;
     vec2 ahead = vec2(lessThan(shift, vec2(0.0)));  // 1 where the path leads to larger coordinates
     vec2 per_shift = (1.0 - 2.0 * ahead) / max(abs(shift), 1e-12);
-    vec2 tiles_per_px = 1.0 / (float(TILE) * vec2(textureSize(tiles, 0)));
+    vec2 tiles_per_px = 1.0 / (float(TILE) * vec2(size_of(tiles)));
 
     // The path within the image and a margin, whose border repeats: a very near texel may begin it far outside.
     vec2 from_first = (-MARGIN_PX - at_infinity) * per_shift, from_last = (size_px + MARGIN_PX - at_infinity) * per_shift;
@@ -73,8 +78,8 @@ int march(vec2 at_infinity, vec2 shift, out vec2 pixel, out float seen_there, ou
         leaves = mix(leaves, vec2(here - one_px), greaterThanEqual(leaves, vec2(here)));
         leaves_tile = mix(leaves_tile, vec2(here - one_px), greaterThanEqual(leaves_tile, vec2(here)));
         float end = max(max(leaves.x, leaves.y), far_end), end_of_tile = max(max(leaves_tile.x, leaves_tile.y), far_end);
-        vec2 bounds = sampled(tiles, (tile + 0.5) * float(TILE) * tiles_per_px).xy;
-        float seen = sampled(inverse_depth, (texel + 0.5) * per_texel).r;
+        vec2 bounds = nearest_sampled(tiles, (tile + 0.5) * float(TILE) * tiles_per_px).xy;
+        float seen = inverse_depth_at(texel + 0.5);
 
         bool is_behind = seen > here;
         bool behind_tile = !in_front && bounds.x > here && is_one_surface(bounds.x, bounds.y, 0.5 * one_px);
@@ -99,7 +104,7 @@ int march(vec2 at_infinity, vec2 shift, out vec2 pixel, out float seen_there, ou
     bool is_outside = never_enters || !meets && in_front && far_end > last;
     met = stays ? limit : met;
     pixel = is_outside ? vec2(-MARGIN_PX) : at_infinity + met * shift;
-    seen_there = meets ? met : sampled(inverse_depth, pixel * per_texel).r;
+    seen_there = meets ? met : inverse_depth_at(pixel);
     half_px = 0.5 * one_px;
     return meets ? SEEN : DISOCCLUDED;
 }

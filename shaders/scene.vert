@@ -1,9 +1,8 @@
 #version 410
-#include "conventions.glsl"
 
 uniform mat4 camera_from_mesh;
 uniform mat3 camera_from_mesh_normal;
-uniform vec4 lens;
+uniform vec4 lens;  // focal_u, focal_v, centre_u, centre_v in pixels
 uniform vec2 size_px;
 uniform float near;
 
@@ -23,5 +22,8 @@ void main()
     normal_in_camera = normalize(camera_from_mesh_normal * normal);
     texture_uv = uv;
     interpolated_colour = vertex_colour;
-    gl_Position = clip_of_point(point_in_camera, lens, size_px, near);
+    // The camera looks along -z; its far plane is at infinity. See conventions.glsl for the sign of v.
+    float depth = -point_in_camera.z;
+    vec2 pixel_times_depth = lens.xy * vec2(point_in_camera.x, -point_in_camera.y) + lens.zw * depth;
+    gl_Position = vec4(2.0 * pixel_times_depth / size_px - depth, depth - 2.0 * near, depth);
 }

@@ -1,25 +1,60 @@
 // How the warp and the passes before it read textures: targets that lack one of these have another path here.
 
-// The four texels around a corner between them, of the first component: lower left, lower right, upper right, upper left.
-vec4 gathered(sampler2D image, vec2 shared_corner)
+// Vulkan, Metal, Direct3D and WebGPU have textures apart from samplers.
+#ifdef VULKAN
+#define IMAGE texture2D
+#define READ(image, kind) sampler2D(image, kind)
+layout(binding = 4) uniform sampler between_texels;  // linear, clamped to the edge
+layout(binding = 5) uniform sampler nearest_texel;   // nearest, clamped to the edge
+#else
+#define IMAGE sampler2D
+#define READ(image, kind) image
+#endif
+// OpenGL 4.1 and WebGL 2 have no numbers of bindings in a shader's text.
+#if defined(VULKAN) || __VERSION__ >= 420 || __VERSION__ == 310 || __VERSION__ == 320
+#define TEXTURE(number) layout(binding = number) uniform IMAGE
+#else
+#define TEXTURE(number) uniform IMAGE
+#endif
+
+ivec2 size_of(IMAGE image)
 {
-    return textureGather(image, shared_corner);
+    return textureSize(READ(image, nearest_texel), 0);
 }
 
-vec4 fetched(sampler2D image, ivec2 texel)
+vec4 fetched(IMAGE image, ivec2 texel)
 {
-    return texelFetch(image, texel, 0);
+    return texelFetch(READ(image, nearest_texel), texel, 0);
+}
+
+// The four texels around a corner between them, of the first component: lower left, lower right, upper right, upper left.
+vec4 gathered(IMAGE image, vec2 shared_corner)
+{
+#if __VERSION__ == 300 || defined(NO_GATHER)  // WebGL 2, and GLSL in WebGPU
+    ivec2 last = size_of(image) - 1, corner = ivec2(round(shared_corner * vec2(last + 1)));
+    ivec2 low = clamp(corner - 1, ivec2(0), last), high = clamp(corner, ivec2(0), last);
+    return vec4(fetched(image, ivec2(low.x, high.y)).x, fetched(image, high).x, fetched(image, ivec2(high.x, low.y)).x,
+                fetched(image, low).x);
+#else
+    return textureGather(READ(image, nearest_texel), shared_corner);
+#endif
 }
 
 // By the image's own filter, from its finest level: outside of loops and branches too, where no derivatives are defined.
-vec4 sampled(sampler2D image, vec2 place)
+vec4 sampled(IMAGE image, vec2 place)
 {
-    return textureLod(image, place, 0.0);
+    return textureLod(READ(image, between_texels), place, 0.0);
+}
+
+// The same for a texel's centre, of textures that need no filter.
+vec4 nearest_sampled(IMAGE image, vec2 place)
+{
+    return textureLod(READ(image, nearest_texel), place, 0.0);
 }
 
 // Filtered over a pixel with these sides. Not by textureGrad, which ends LLVM 15 in compute shaders of Mesa.
-vec4 sampled_over(sampler2D image, vec2 place, vec2 across, vec2 down)
+vec4 sampled_over(IMAGE image, vec2 place, vec2 across, vec2 down)
 {
-    vec2 size = vec2(textureSize(image, 0)), right = across * size, below = down * size;
-    return textureLod(image, place, 0.5 * log2(max(dot(right, right), dot(below, below))));
+    vec2 size = vec2(size_of(image)), right = across * size, below = down * size;
+    return textureLod(READ(image, between_texels), place, 0.5 * log2(max(dot(right, right), dot(below, below))));
 }

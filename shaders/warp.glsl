@@ -6,10 +6,16 @@
 //
 // Written for software renderers too: a texture read at normalised coordinates costs them less than a fetch.
 
-uniform sampler2D picture;  // gives linear light
-uniform sampler2D inverse_depth;
+TEXTURE(1) picture;  // gives linear light
+TEXTURE(2) inverse_depth;
+#ifndef MESH_WARP  // whose uniforms are a block, and whose depths those of a depth buffer
+#define INVERSE_DEPTHS(texels) texels
+#define NOWHERE uintBitsToFloat(0x7fc00000u)
 uniform vec3 background;  // linear light
 uniform float opaque;     // 1 for a picture without alpha
+uniform bool is_inset;           // a sharper picture of a part, drawn over the wider one
+uniform vec4 widest_from_inset;  // scale and offset of pixels
+#endif
 #if ENCODING == TABLE
 uniform sampler2D code_of_light;  // over the fourth root of the light, from 0 to 1
 #endif
@@ -22,12 +28,8 @@ uniform int overlay_count;
 uniform sampler2D overlays[MAX_OVERLAYS];
 uniform vec3 overlay_place[3 * MAX_OVERLAYS];  // rows that take a pixel of the image to the place on a quad, times its inverse depth
 #endif
-uniform bool is_inset;           // a sharper picture of a part, drawn over the wider one
-uniform vec4 widest_from_inset;  // scale and offset of pixels
 
-#define NOWHERE uintBitsToFloat(0x7fc00000u)
-vec2 size_px = vec2(textureSize(picture, 0));
-vec2 per_texel = 1.0 / size_px;
+vec2 size_px, per_texel;  // of the image
 
 #include "march.glsl"
 
@@ -115,7 +117,7 @@ void add_channel(const int channel)
     if (is_direct) {
         // All that the image shows along the path lies within DIRECT_PX.
         vec2 nearby = at_infinity + 0.5 * (range.x + range.y) * shift;
-        pixel = at_infinity + sampled(inverse_depth, nearby * per_texel).r * shift;
+        pixel = at_infinity + inverse_depth_at(nearby) * shift;
     } else {
         status = march(at_infinity, shift, pixel, inverse, half_px);
     }
@@ -145,6 +147,8 @@ void add_channel(const int channel)
 // Whether the pixel is drawn: not where the wider picture of an inset is there already.
 bool shade()
 {
+    size_px = vec2(size_of(picture));
+    per_texel = 1.0 / size_px;
     add_channel(0);
 #if CHANNELS == 3
     add_channel(1);

@@ -1,6 +1,7 @@
 """Warps by the shipped shaders, and what judges them: a scene of two planes, in closed form."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
 
@@ -105,69 +106,101 @@ class Warp:
     nearest: float
     samples_per_axis: int
 
+    def block(self, clip_from_panel: tuple[float, float, float, float]) -> bytes:
+        """Return the shader's uniforms, black behind a picture without alpha."""
+        given = *self.image_from_ray.ravel(), *clip_from_panel, *self.stored.inverse_of_0_and_1, self.stored.nothing
+        return np.array([*given, self.nearest, 0, 0, 0, 1, self.samples_per_axis, 0, 0, 0], np.float32).tobytes()
+
+    def rows_up(self) -> "Warp":
+        """Return the same picture with its bottom row first, as OpenGL draws."""
+        row_u, row_v, row_depth = self.image_from_ray
+        rows = np.stack([row_u, len(self.depth) * row_depth - row_v, row_depth])
+        return replace(self, codes=self.codes[::-1], depth=self.depth[::-1], image_from_ray=rows)
+
+
+def stage(name: str, version: str, *defines: str, only_source: bool = False) -> str:
+    """Return the shipped shader's text for a stage and a version of GLSL.
+
+    With only_source it writes (u, v, 1 where the picture shows something) in place of colour.
+    """
+    text = resource("shaders", "own_warp.glsl").read_text(encoding="utf-8")
+    if only_source:
+        colour = "colour = vec4(light, alpha);"
+        assert text.count(colour) == 1
+        text = text.replace(colour, "colour = vec4(seen_at, float(worst <= DISOCCLUDED), 1.0);")
+    return "\n".join([f"#version {version}", *(f"#define {each}" for each in (f"{name}_STAGE", *defines)), text])
+
 
 class OpenGl:
-    """The few calls that draw a mesh with `own_warp.glsl`."""
+    """The few calls that draw a mesh with `own_warp.glsl`, of any version of GLSL that the context compiles."""
 
-    def __init__(self, context: GlContext) -> None:
-        self._context = context
-        text = resource("shaders", "own_warp.glsl").read_text(encoding="utf-8")
-        self._vertex = "#version 420\n#define VERTEX_STAGE\n" + text
-        fragment = "#version 420\n#define FRAGMENT_STAGE\n" + text
-        source = "void main() { colour = vec4(source_of_ray(), 1); }"
-        self._shaders = {"fragment": fragment, "only_source": fragment.replace("void main()", "void none()") + source}
+    def __init__(self, context: GlContext, version: str) -> None:
+        self._context, self._version = context, version
+
+    def _program(self, ctx: moderngl.Context, name: str, only_source: bool = False) -> moderngl.Program:
+        vertex = stage(f"{name}VERTEX", self._version)
+        fragment = stage(f"{name}FRAGMENT", self._version, only_source=only_source)
+        program = ctx.program(vertex, fragment)
+        for texture, unit in (("picture", 1), ("depth", 2), ("inverse_depth", 2), ("tiles", 3), ("Warp", 0)):
+            # WebGL 2 numbers nothing in the text.
+            member = program.get(texture, None)
+            if isinstance(member, moderngl.UniformBlock):
+                member.binding = unit
+            elif isinstance(member, moderngl.Uniform):
+                member.value = unit
+        return program
 
     def drawn(
-        self, entry: str, warp: Warp, size: tuple[int, int], mesh: WarpMesh, rays: Float32Array, rows_up: bool = False
+        self, warp: Warp, size: tuple[int, int], mesh: WarpMesh, rays: Float32Array, only_source: bool = False
     ) -> Float32Array:
-        """(height, width, 3) of what a shader writes, for a picture with its top or its bottom row first."""
-        (height, width), rows = warp.depth.shape, slice(None, None, -1 if rows_up else 1)
-        block = np.zeros(32, np.float32)  # std140
-        block[:12] = warp.image_from_ray.ravel()
-        block[12:16] = 2, 2, -1, -1  # the top row first in memory
-        block[16:20] = (1 / width, -1 / height, 0, 1) if rows_up else (1 / width, 1 / height, 0, 0)
-        block[20:23] = *warp.stored.inverse_of_0_and_1, warp.nearest
-        block[23:24].view(np.int32)[:] = warp.samples_per_axis
-        codes, depth = (np.ascontiguousarray(each[rows]).tobytes() for each in (warp.codes, warp.depth))
+        """(height, width, 3) of what the shader writes, the top row first."""
+        height, width = warp.depth.shape
         with self._context.drawing() as ctx:
-            picture = ctx.texture((width, height), 3, codes, alignment=1, internal_format=_GL_SRGB8)
-            depths = ctx.texture((width, height), 1, depth, dtype="f4")
-            depths.filter = ctx.NEAREST, ctx.NEAREST
-            for texture, unit in ((picture, 1), (depths, 2)):
+            picture = ctx.texture((width, height), 3, warp.codes.tobytes(), alignment=1, internal_format=_GL_SRGB8)
+            depths = ctx.texture((width, height), 1, warp.depth.tobytes(), dtype="f4")
+            tiles = self._context.target((-(-width // 8), -(-height // 8)), 2, "f4")
+            for unit, texture in enumerate((picture, depths, tiles), start=1):
+                texture.filter = (ctx.LINEAR if texture is picture else ctx.NEAREST,) * 2
                 texture.repeat_x = texture.repeat_y = False
                 texture.use(unit)
-            uniforms = ctx.buffer(block.tobytes())
+            uniforms = ctx.buffer(warp.block((2, 2, -1, -1)))  # the top row first in memory
             uniforms.bind_to_uniform_block(0)
+            of_tiles = ctx.vertex_array(self._program(ctx, "TILES_"), [])
+            self._context.framebuffer([tiles]).use()
+            of_tiles.render(vertices=3)
             buffers = [ctx.buffer(each.tobytes()) for each in (mesh.panel_position, rays, mesh.triangles)]
             target = self._context.target(size, 4, "f4")
-            framebuffer = self._context.framebuffer([target])
-            program = ctx.program(self._vertex, self._shaders[entry])
+            program = self._program(ctx, "", only_source)
             inputs = [(buffers[0], "2f", 0), (buffers[1], "4f", 1)]
             vertices = ctx.vertex_array(program, inputs, index_buffer=buffers[2])
+            framebuffer = self._context.framebuffer([target])
             framebuffer.use()
             framebuffer.clear()
             vertices.render()
             answer = gl.read(target, np.float32)[..., :3]
             owned: list[moderngl.VertexArray | moderngl.Program | moderngl.Texture | moderngl.Buffer]
-            owned = [vertices, program, picture, depths, uniforms, *buffers]
+            owned = [vertices, program, of_tiles, of_tiles.program, picture, depths, uniforms, *buffers]
             for made in owned:
                 made.release()
         return answer
 
 
-WGSL_SOURCE = """
-@fragment
-fn only_source(corner: Corner) -> @location(0) vec4f { return vec4f(source_of(corner), 1.0); }
-"""
-
-
 class WebGpu:
-    """The few calls that draw a mesh with `own_warp.wgsl`."""
+    """The few calls that draw a mesh with `own_warp.glsl` in WebGPU.
 
-    def __init__(self, wgpu: ModuleType) -> None:
-        self.wgpu, self.device = wgpu, wgpu.gpu.request_adapter_sync().request_device_sync()
-        text = resource("shaders", "own_warp.wgsl").read_text(encoding="utf-8")
-        self.module = self.device.create_shader_module(code=text + WGSL_SOURCE)
+    Args:
+        wgpu: the module.
+        compiled: makes what WebGPU is given of a stage's text and "vert" or "frag": SPIR-V, or GLSL.
+    """
+
+    def __init__(self, wgpu: ModuleType, compiled: Callable[[str, str], bytes | str]) -> None:
+        self.device, self._compiled = wgpu.gpu.request_adapter_sync().request_device_sync(), compiled
+        unfiltered: dict[str, Any] = {"texture": {"sample_type": "unfilterable-float"}}
+        resources: list[dict[str, Any]] = [{"buffer": {}}, {"texture": {}}, unfiltered, unfiltered]
+        resources += [{"sampler": {}}, {"sampler": {"type": "non-filtering"}}]
+        both = wgpu.ShaderStage.VERTEX | wgpu.ShaderStage.FRAGMENT
+        entries = [{"binding": k, "visibility": both, **each} for k, each in enumerate(resources)]
+        self._bindings = self.device.create_bind_group_layout(entries=entries)
 
     def texture(self, values: Float32Array | NDArray[np.uint8], kind: str) -> Any:
         """Of an array (height, width) or (height, width, 4)."""
@@ -175,42 +208,57 @@ class WebGpu:
         texture = self.device.create_texture(size=size, format=kind, usage="TEXTURE_BINDING | COPY_DST")
         layout = {"bytes_per_row": values.strides[0], "rows_per_image": size[1]}
         self.device.queue.write_texture({"texture": texture}, np.ascontiguousarray(values), layout, size)
-        return texture.create_view()
+        return texture
 
-    def drawn(self, entry: str, warp: Warp, size: tuple[int, int], mesh: WarpMesh, rays: Float32Array) -> Float32Array:
-        """(height, width, 3) of what an entry point writes."""
-        codes = np.dstack([warp.codes, np.full_like(warp.codes[..., :1], 255)])
-        picture, depth = self.texture(codes, "rgba8unorm-srgb"), self.texture(warp.depth, "r32float")
-        block = np.zeros(24, np.float32)
-        block[:12] = warp.image_from_ray.ravel()
-        block[12:16] = 2, -2, -1, 1
-        block[16:19] = *warp.stored.inverse_of_0_and_1, warp.nearest
-        block[19:20].view(np.uint32)[:] = warp.samples_per_axis
-        device, buffer = self.device, self.device.create_buffer_with_data
-        attributes = [{"format": f"float32x{k}", "offset": 0, "shader_location": i} for i, k in enumerate((2, 4))]
-        target = device.create_texture(size=(*size, 1), format="rgba32float", usage="RENDER_ATTACHMENT | COPY_SRC")
+    def _target(self, size: tuple[int, int], kind: str) -> Any:
+        usage = "RENDER_ATTACHMENT | TEXTURE_BINDING | COPY_SRC"
+        return self.device.create_texture(size=(*size, 1), format=kind, usage=usage)
+
+    def _pass(
+        self, encoder: Any, target: Any, name: str, resources: list[Any], buffers: list[Any], only_source: bool
+    ) -> Any:
+        """Begin a pass of a stage's programs."""
+        device = self.device
+        texts = stage(f"{name}VERTEX", "450"), stage(f"{name}FRAGMENT", "450", only_source=only_source)
+        vertex, fragment = (
+            {"module": device.create_shader_module(label=kind, code=self._compiled(text, kind)), "entry_point": "main"}
+            for kind, text in zip(("vert", "frag"), texts, strict=True)
+        )
         pipeline = device.create_render_pipeline(
-            layout="auto",
-            vertex={
-                "module": self.module,
-                "buffers": [
-                    {"array_stride": 4 * k, "attributes": [each]} for k, each in zip((2, 4), attributes, strict=True)
-                ],
-            },
-            fragment={"module": self.module, "entry_point": entry, "targets": [{"format": "rgba32float"}]},
+            layout=device.create_pipeline_layout(bind_group_layouts=[self._bindings]),
+            vertex={**vertex, "buffers": buffers},
+            fragment={**fragment, "targets": [{"format": target.format}]},
         )
-        sampler = device.create_sampler(mag_filter="linear", min_filter="linear")
-        resources = [{"buffer": buffer(data=block, usage="UNIFORM")}, picture, sampler, depth]
-        used = range(4) if entry == "fragment" else (0, 1, 3)
-        group = device.create_bind_group(
-            layout=pipeline.get_bind_group_layout(0),
-            entries=[{"binding": k, "resource": resources[k]} for k in used],
-        )
-        encoder = device.create_command_encoder()
         attachment = {"view": target.create_view(), "load_op": "clear", "store_op": "store"}
+        entries = [{"binding": k, "resource": each} for k, each in enumerate(resources)]
         draw = encoder.begin_render_pass(color_attachments=[attachment])
         draw.set_pipeline(pipeline)
-        draw.set_bind_group(0, group)
+        draw.set_bind_group(0, device.create_bind_group(layout=self._bindings, entries=entries))
+        return draw
+
+    def drawn(
+        self, warp: Warp, size: tuple[int, int], mesh: WarpMesh, rays: Float32Array, only_source: bool = False
+    ) -> Float32Array:
+        """(height, width, 3) of what the shader writes, the top row first."""
+        device, buffer = self.device, self.device.create_buffer_with_data
+        codes = np.dstack([warp.codes, np.full_like(warp.codes[..., :1], 255)])
+        picture, depth = self.texture(codes, "rgba8unorm-srgb"), self.texture(warp.depth, "r32float")
+        height, width = warp.depth.shape
+        tiles, target = self._target((-(-width // 8), -(-height // 8)), "rg32float"), self._target(size, "rgba32float")
+        block = {"buffer": buffer(data=warp.block((2, -2, -1, 1)), usage="UNIFORM")}
+        between = device.create_sampler(mag_filter="linear", min_filter="linear")
+        views = [each.create_view() for each in (picture, depth, depth)]
+        resources = [block, *views, between, device.create_sampler()]
+        encoder = device.create_command_encoder()
+        draw = self._pass(encoder, tiles, "TILES_", resources, [], False)
+        draw.draw(3)
+        draw.end()
+        resources[3] = tiles.create_view()
+        layouts = [
+            {"array_stride": 4 * k, "attributes": [{"format": f"float32x{k}", "offset": 0, "shader_location": i}]}
+            for i, k in enumerate((2, 4))
+        ]
+        draw = self._pass(encoder, target, "", resources, layouts, only_source)
         draw.set_vertex_buffer(0, buffer(data=mesh.panel_position, usage="VERTEX"))
         draw.set_vertex_buffer(1, buffer(data=rays, usage="VERTEX"))
         draw.set_index_buffer(buffer(data=mesh.triangles, usage="INDEX"), "uint32")

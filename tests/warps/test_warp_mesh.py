@@ -1,3 +1,4 @@
+import runpy
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -10,7 +11,7 @@ import pytest
 from flat_image import PrismPlate
 from present import narrowed
 from warps.composing import HEAD, planar
-from warps.own_warps import NEAR_M, OpenGl, Warp, WebGpu, drawn, expected_source, light, seen_by
+from warps.own_warps import NEAR_M, OpenGl, Warp, WebGpu, drawn, expected_source, light, seen_by, stage
 
 from wlr_render import StoredDepth
 from wlr_render.engine import DepthKind
@@ -24,6 +25,7 @@ from wlr_render.numerics.arrays import Float32Array, FloatArray, IntArray
 from wlr_render.numerics.srgb import encode_srgb
 from wlr_render.warp.choose_grid import ray_error_arcmin
 from wlr_render.warp.eye_camera import EyeCamera
+from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.ray_map import solve_pixels
 from wlr_render.warp.warp_mesh import WarpMesh
 
@@ -179,53 +181,127 @@ def judged(
     assert light_error.max() < 0.02
 
 
-def check(gpu: Any, eye: Eye, mesh: WarpMesh, newest: FloatArray, **options: Any) -> None:
+def check(gpu: OpenGl | WebGpu, eye: Eye, mesh: WarpMesh, newest: FloatArray, rows_up: bool = False) -> None:
     """The picture is of an older head pose and an older pupil."""
     camera = mesh.camera(HEAD, eye.eye_box.centre)
     colour, depth = drawn(camera)
     rows = mesh.image_from_ray(camera, pupil(eye), newest)
     warp = Warp(encode_srgb(colour.astype(np.float32)), depth, rows, STORED, 1 / 0.5, mesh.samples_per_axis)
+    warp = warp.rows_up() if rows_up else warp
     rays = mesh.rays(pupil(eye))[0]
-    answers = [gpu.drawn(entry, warp, SIZE, mesh, rays, **options) for entry in ("only_source", "fragment")]
-    judged(eye, mesh, camera, newest, *answers)
+    source, light = (gpu.drawn(warp, SIZE, mesh, rays, only_source=each) for each in (True, False))
+    source = np.where([False, rows_up, False], camera.size_px[1] - source, source)
+    judged(eye, mesh, camera, newest, source, light)
     rays = np.where(mesh.panel_position[:, :1] < 0.5, np.float32(np.nan), rays)
-    is_shown = gpu.drawn("only_source", warp, SIZE, mesh, rays, **options)[..., 2]
+    is_shown = gpu.drawn(warp, SIZE, mesh, rays, only_source=True)[..., 2]
     assert (is_shown[:, : SIZE[0] // 2 - 2] == 0).all()
     assert (is_shown[20:-20, SIZE[0] // 2 + 2 : -20] == 1).all()
 
 
+def check_wire(gpu: OpenGl | WebGpu, eye: Eye, mesh: WarpMesh, wire_m: float) -> None:
+    """Check a wire of one pixel that is seen from 20 mm aside: it covers all rays that meet it, and no others."""
+    camera, at = mesh.camera(HEAD, eye.eye_box.centre), eye.eye_box.centre
+    width, height = camera.size_px
+    column = width // 2 + round(0.02 / wire_m * camera.focal_px[0]) // 2
+    wall_m = 6.0
+    depth_m = np.full((height, width), wall_m)
+    depth_m[:, column] = wire_m
+    codes = np.zeros((height, width, 3), np.uint8)
+    codes[:, column] = 255
+    newest = HEAD @ transforms.rigid(np.eye(3), np.array([0.02, 0.0, 0.0]))
+    rows = mesh.image_from_ray(camera, at, newest)
+    depth = (1 - NEAR_M / depth_m).astype(np.float32)
+    light = gpu.drawn(Warp(codes, depth, rows, STORED, 1 / NEAR_M, 1), SIZE, mesh, mesh.rays(at)[0])[..., 0]
+
+    pixel = WarpGrid.of_pixels(eye.display.panel, SIZE).panel_pixel()
+    a, b, c, d = np.moveaxis(solve_pixels(eye, camera.view.device_from_camera, pixel, at).slope_offset, -1, 0)
+    # Where the picture has the ray's points at the depths of the wire and of the wall.
+    forwards = np.stack([a, b, np.full_like(a, -1), 0 * a], axis=-1) @ rows.T
+    start = np.stack([c, d, 0 * a, np.ones_like(a)], axis=-1) @ rows.T
+    at_infinity = forwards[..., :2] / forwards[..., 2:]
+    shift = start[..., :2] - start[..., 2:] * at_infinity
+    on_wall, seen = at_infinity + shift / wall_m, at_infinity + shift / wire_m
+    inside = (seen[..., 1] > 1) & (seen[..., 1] < height - 1)
+    beside_px = np.abs(seen[..., 0] - column - 0.5)
+    on_wire, off_wire = inside & (beside_px < 0.48), inside & (beside_px > 1)
+    off_wire &= np.abs(on_wall[..., 0] - column - 0.5) > 1
+    lowest, highest = light[on_wire].min(), light[off_wire].max()
+    print(f"{wire_m} m: {on_wire.sum()} pixels on the wire, of {lowest:.3f} or more; beside it {highest:.3f} or less")
+    assert on_wire.sum() > 0.5 * SIZE[1]
+    assert lowest > 0.49
+    assert highest == 0
+
+
 @pytest.mark.gl
-@pytest.mark.parametrize(("rows_up", "newest"), [(False, TURNED), (True, MOVED)])
-def test_the_glsl_warp_shows_what_the_exact_rays_meet(
-    gl_context: GlContext, eye: Eye, mesh: WarpMesh, rows_up: bool, newest: FloatArray
+@pytest.mark.parametrize(
+    ("version", "newest"), [("420", TURNED), ("420", MOVED), ("310 es", TURNED), ("310 es", MOVED), ("300 es", MOVED)]
+)
+def test_the_warp_shows_what_the_exact_rays_meet(
+    gl_context: GlContext, eye: Eye, mesh: WarpMesh, version: str, newest: FloatArray
 ) -> None:
-    check(OpenGl(gl_context), eye, mesh, newest, rows_up=rows_up)
+    check(OpenGl(gl_context, version), eye, mesh, newest, rows_up=newest is MOVED)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("newest", [TURNED, MOVED])
-def test_the_wgsl_warp_shows_what_the_exact_rays_meet(eye: Eye, mesh: WarpMesh, newest: FloatArray) -> None:
-    wgpu = pytest.importorskip("wgpu", reason="wgpu is not installed; pip install '.[wgpu]'.")
-    try:
-        gpu = WebGpu(wgpu)
-    except RuntimeError as error:
-        pytest.skip(f"WebGPU finds no device; lavapipe of mesa-vulkan-drivers is one ({error}).")
-    check(gpu, eye, mesh, newest)
+@pytest.mark.gl
+@pytest.mark.parametrize("wire_m", [0.1, 0.3, 3.0])
+@pytest.mark.parametrize("version", ["420", "300 es"])
+def test_a_wire_of_one_pixel_is_whole_from_aside(
+    gl_context: GlContext, eye: Eye, mesh: WarpMesh, wire_m: float, version: str
+) -> None:
+    check_wire(OpenGl(gl_context, version), eye, mesh, wire_m)
 
 
-@pytest.mark.parametrize("stage", ["vertex", "fragment"])
-def test_the_glsl_warp_compiles_for_vulkan_metal_and_direct3d(stage: str, tmp_path: Path) -> None:
+def spirv_of(text: str, stage_name: str, folder: Path) -> Path:
+    """Compile a text for Vulkan; skips the test without a compiler."""
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         pytest.skip("glslangValidator is not installed (glslang-tools).")
-    text = resource("shaders", "own_warp.glsl").read_text(encoding="utf-8")
-    source = tmp_path / f"warp.{stage[:4]}"
-    source.write_text(f"#version 450\n#define {stage.upper()}_STAGE\n{text}", encoding="utf-8")
-    command = [compiler, "-V", str(source), "-o", str(tmp_path / "warp.spv")]
-    result = subprocess.run(command, capture_output=True, text=True)
+    source, compiled = folder / f"warp.{stage_name}", folder / f"{stage_name}.spv"
+    source.write_text(text, encoding="utf-8")
+    result = subprocess.run([compiler, "-V", source, "-o", compiled], capture_output=True, text=True)
     assert result.returncode == 0, result.stdout
+    return compiled
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("given", ["SPIR-V", "GLSL"])
+def test_the_warp_in_webgpu_shows_what_the_exact_rays_meet(
+    eye: Eye, mesh: WarpMesh, given: str, tmp_path: Path
+) -> None:
+    wgpu = pytest.importorskip("wgpu", reason="wgpu is not installed; pip install '.[wgpu]'.")
+
+    def compiled(text: str, stage_name: str) -> bytes | str:
+        if given == "GLSL":
+            return text.replace("\n", "\n#define VULKAN\n#define NO_GATHER\n", 1)
+        return spirv_of(text, stage_name, tmp_path).read_bytes()
+
+    try:
+        gpu = WebGpu(wgpu, compiled)
+    except RuntimeError as error:
+        pytest.skip(f"WebGPU finds no device; lavapipe of mesa-vulkan-drivers is one ({error}).")
+    check(gpu, eye, mesh, TURNED)
+    check(gpu, eye, mesh, MOVED)
+    check_wire(gpu, eye, mesh, 0.1)
+
+
+@pytest.mark.parametrize("stage_name", ["TILES_VERTEX", "TILES_FRAGMENT", "VERTEX", "FRAGMENT"])
+def test_the_warp_compiles_for_each_language(stage_name: str, tmp_path: Path) -> None:
+    kind = "vert" if "VERTEX" in stage_name else "frag"
+    for version in ("420", "310 es", "300 es"):
+        source = tmp_path / f"{version}.{kind}"
+        source.write_text(stage(stage_name, version), encoding="utf-8")
+        compiled = spirv_of(stage(stage_name, "450"), kind, tmp_path)
+        result = subprocess.run(["glslangValidator", source], capture_output=True, text=True)
+        assert result.returncode == 0, result.stdout
     if shutil.which("spirv-cross") is None:
         pytest.skip("spirv-cross is not installed.")
-    for language in (["--msl"], ["--hlsl", "--shader-model", "50"]):
-        translated = subprocess.run(["spirv-cross", command[-1], *language], capture_output=True, text=True)
+    for language in (["--msl"], ["--hlsl", "--shader-model", "50"], ["--es", "--version", "310"], ["--version", "430"]):
+        translated = subprocess.run(["spirv-cross", compiled, *language], capture_output=True, text=True)
         assert translated.returncode == 0, translated.stderr
+
+
+def test_the_warp_for_others_is_the_kernel() -> None:
+    """The file is what `release/own_warp.py` writes today."""
+    root = Path(__file__).parents[2]
+    written = runpy.run_path(str(root / "release" / "own_warp.py"))["own_warp"]()
+    assert resource("shaders", "own_warp.glsl").read_text(encoding="utf-8") == written

@@ -31,7 +31,7 @@ from wlr_render.warp.warp import (
 MAX_OVERLAYS = 4
 """Overlays of an eye that are shown at once."""
 
-_CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
+CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
     "SURFACE_STEP": SURFACE_STEP,
     "TILE": TILE,
     "DIRECT_PX": DIRECT_PX,
@@ -251,7 +251,7 @@ class GlWarp:
         return [(program, partial(self._context.compute, program, target.textures))]
 
     def _constants(self, overlays: bool) -> dict[str, float]:
-        return {"OVERLAYS": int(overlays), "CHANNELS": self._channels} | self._panel.constants | _CONSTANTS
+        return {"OVERLAYS": int(overlays), "CHANNELS": self._channels} | self._panel.constants | CONSTANTS
 
     def _copy(self, colour: gl.Texture, target: WarpTarget) -> None:
         """Copy a picture to a caller's target, whose format and number of samples may be any."""
@@ -312,7 +312,7 @@ class _GlCells:
     def __init__(self, context: gl.GlContext, channels: int) -> None:
         self._channels = channels
         self._ranges, self._targets = GlDepthRanges(context), gl.RenderTargets(context)
-        self._filling = gl.Pass(context, "cells.frag", CHANNELS=channels, **_CONSTANTS)
+        self._filling = gl.Pass(context, "cells.frag", CHANNELS=channels, **CONSTANTS)
 
     def draw(
         self,

@@ -1,7 +1,6 @@
 """The warp of an eye as arrays, for renderers that a `Compositor` cannot serve: Vulkan, Direct3D, WebGPU, engines.
 
-The arrays go with a shader: `shaders/own_warp.glsl` and `shaders/own_warp.wgsl` are complete ones. Nothing here needs
-OpenGL.
+The arrays go with the shaders of `shaders/own_warp.glsl`. Nothing here needs OpenGL.
 """
 
 import typing
@@ -34,8 +33,7 @@ _SEARCHED = 0.97  # share of the tolerance to reach: maps of frames differ a lit
 class WarpMesh:
     """One eye's panel as a triangle mesh whose vertices hold world rays.
 
-    Inside a triangle rays are linear, and so are the six numbers that the vertex shader makes of them: the mesh's
-    error equals the error of the rays, which is measured here.
+    Inside a triangle rays are linear; their error, which is measured here, is the mesh's only one.
 
     Attributes:
         eye: "left" or "right".
