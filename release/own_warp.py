@@ -10,7 +10,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from wlr_render.gl.programs import shader_source
-from wlr_render.warp.gl_warp import CONSTANTS
+from wlr_render.warp.gl_cells import WARP_CONSTANTS
 
 # One colour at a time, as linear light, without overlays and without a map of the panel's uniformity.
 _SETTINGS = {"CHANNELS": "1", "ENCODING": "NONE", "OVERLAYS": "0", "UNIFORMITY": "0", "MESH_WARP": "1"}
@@ -21,7 +21,7 @@ def own_warp() -> str:
     """Return the text of the file."""
     header, body = shader_source("mesh_warp.glsl", {}).split("#line 2\n")[1].split("\n\n", 1)
     body = re.sub(r"\n{3,}", "\n\n", "\n".join(_selected(body.splitlines())))
-    given = CONSTANTS | {"CHANNELS": 1}
+    given = WARP_CONSTANTS | {"CHANNELS": 1}
     defines = [f"#define {name} {value}" for name, value in given.items() if re.search(rf"\b{name}\b", body)]
     written_by = "// Written by release/own_warp.py from mesh_warp.glsl and what that includes."
     return "\n".join([header, written_by, "", *defines, "", body, ""])

@@ -1,6 +1,6 @@
 // Intersect a ray with the depth of the intermediate image, texel by texel; warp/warp.py states the algorithm.
 //
-// Needs SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`, `range`, `size_px` and `per_texel`. One loop with
+// Needs SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`, `size_px` and `per_texel`. One loop with
 // the same reads in each round: software renderers execute both sides of a branch. They may leave the loop for all
 // neighbours at once: so the variables of the result (meets, met, in_front) no longer change once a pixel has stopped.
 
@@ -51,8 +51,9 @@ vec2 place_on_surface(vec2 pixel, float met, float half_px)
     return base + 0.5 + (all_belong || largest == 0.0 ? weight : moved);
 }
 
-// The place that a ray shows, the inverse depth that is seen there, and the inverse depth that half a pixel stands for.
-int march(vec2 at_infinity, vec2 shift, out vec2 pixel, out float seen_there, out float half_px)
+// The place that a ray shows, the inverse depth that is seen there, and the inverse depth that half a pixel stands for;
+// from the bounds of the inverse depth along its path.
+int march(vec2 at_infinity, vec2 shift, vec2 range, out vec2 pixel, out float seen_there, out float half_px)
 {
     float px_per_inverse_depth = max(length(shift), 1e-12), one_px = 1.0 / px_per_inverse_depth;
     vec2 nudge = -NUDGE_PX * one_px * shift;

@@ -83,8 +83,8 @@ AT(1) in float has_ray;
 layout(location = 0) out vec4 colour;
 
 // A ray's own place and path stand for those that the compositor interpolates between the points of a coarser grid.
-const bool is_inset = false;
-const float filled = 0.0;
+const bool is_inset = false, is_backdrop = false, is_needed = true;
+const float filled = 0.0, nearest_shown = MISSING;
 const vec4 widest_from_inset = vec4(1.0, 1.0, 0.0, 0.0);
 const vec2 grid_place = vec2(0.0), cell = vec2(0.0);
 vec2 range;

@@ -17,6 +17,7 @@
 #define TILE 8
 #define DIRECT_PX 0.05
 #define SPACING_PX 1.25
+#define MISSING 1e+30
 #define CHANNELS 1
 
 #define MESH_WARP
@@ -199,8 +200,8 @@ AT(1) in float has_ray;
 layout(location = 0) out vec4 colour;
 
 // A ray's own place and path stand for those that the compositor interpolates between the points of a coarser grid.
-const bool is_inset = false;
-const float filled = 0.0;
+const bool is_inset = false, is_backdrop = false, is_needed = true;
+const float filled = 0.0, nearest_shown = MISSING;
 const vec4 widest_from_inset = vec4(1.0, 1.0, 0.0, 0.0);
 const vec2 grid_place = vec2(0.0), cell = vec2(0.0);
 vec2 range;
@@ -222,8 +223,9 @@ void sides_of_pixel(const int channel, out vec2 across, out vec2 down)
 // What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.
 //
 // warp.frag and warp.comp run it for each pixel. They have before it, for its place in a cell of the warp grid: grid_place,
-// cell, range, samples_per_axis, is_direct, filled, and with UNIFORMITY panel_place; for each channel: path, bend,
-// mixed_bend, known, and the function sides_of_pixel, which gives the sides of a display pixel in the image.
+// cell, range, samples_per_axis, is_direct, filled, nearest_shown, is_backdrop, is_needed, and with UNIFORMITY panel_place;
+// for each channel: path, bend, mixed_bend, known, and the function sides_of_pixel, which gives the sides of a display
+// pixel in the image.
 //
 // Written for software renderers too: a texture read at normalised coordinates costs them less than a fetch.
 
@@ -234,7 +236,7 @@ vec2 size_px, per_texel;  // of the image
 
 // Intersect a ray with the depth of the intermediate image, texel by texel; warp/warp.py states the algorithm.
 //
-// Needs SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`, `range`, `size_px` and `per_texel`. One loop with
+// Needs SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`, `size_px` and `per_texel`. One loop with
 // the same reads in each round: software renderers execute both sides of a branch. They may leave the loop for all
 // neighbours at once: so the variables of the result (meets, met, in_front) no longer change once a pixel has stopped.
 
@@ -285,8 +287,9 @@ vec2 place_on_surface(vec2 pixel, float met, float half_px)
     return base + 0.5 + (all_belong || largest == 0.0 ? weight : moved);
 }
 
-// The place that a ray shows, the inverse depth that is seen there, and the inverse depth that half a pixel stands for.
-int march(vec2 at_infinity, vec2 shift, out vec2 pixel, out float seen_there, out float half_px)
+// The place that a ray shows, the inverse depth that is seen there, and the inverse depth that half a pixel stands for;
+// from the bounds of the inverse depth along its path.
+int march(vec2 at_infinity, vec2 shift, vec2 range, out vec2 pixel, out float seen_there, out float half_px)
 {
     float px_per_inverse_depth = max(length(shift), 1e-12), one_px = 1.0 / px_per_inverse_depth;
     vec2 nudge = -NUDGE_PX * one_px * shift;
@@ -397,7 +400,8 @@ void add_channel(const int channel)
         vec2 nearby = at_infinity + 0.5 * (range.x + range.y) * shift;
         pixel = at_infinity + inverse_depth_at(nearby) * shift;
     } else {
-        status = march(at_infinity, shift, pixel, inverse, half_px);
+        status = march(at_infinity, shift, is_needed ? range : range.xx, pixel, inverse, half_px);
+        status = inverse > nearest_shown ? DISOCCLUDED : status;
     }
     float margin = is_inset ? 0.5 : 0.0;
     bool inside = all(greaterThanEqual(pixel, vec2(margin))) && all(lessThanEqual(pixel, size_px - margin));
@@ -416,7 +420,7 @@ void add_channel(const int channel)
     seen_at = channel == CHANNELS / 2 ? (found ? pixel : vec2(NOWHERE)) : seen_at;
 }
 
-// Whether the pixel is drawn: not where the wider picture of an inset is there already.
+// Whether the pixel is drawn: not where the wider picture of an inset or that in front of a backdrop is there already.
 bool shade()
 {
     size_px = vec2(size_of(picture));
@@ -424,7 +428,7 @@ bool shade()
     add_channel(0);
     seen_at = is_inset ? seen_at * widest_from_inset.xy + widest_from_inset.zw : seen_at;
     light = code_of(light);
-    return !is_inset || worst <= DISOCCLUDED;
+    return is_backdrop ? is_needed && worst == SEEN : !is_inset || worst <= DISOCCLUDED;
 }
 
 void main()

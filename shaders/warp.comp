@@ -11,13 +11,14 @@ layout(binding = 0) uniform writeonly image2D colour_image;
 layout(binding = 1) uniform writeonly uimage2D status_image;
 layout(binding = 2) uniform writeonly image2D source_image;
 uniform bool with_source;
+uniform usampler2D front_status;
 
 // Of the display pixel: what warp.frag gets from the vertices of its triangle.
 vec2 grid_place, panel_place, cell, range;
 vec4 path[CHANNELS], bend[CHANNELS], across_and_down[CHANNELS];
 vec2 mixed_bend[CHANNELS];
-float known[CHANNELS], samples_per_axis, filled;
-bool is_direct;
+float known[CHANNELS], samples_per_axis, filled, nearest_shown;
+bool is_direct, is_needed;
 
 void sides_of_pixel(const int channel, out vec2 across, out vec2 down)
 {
@@ -68,22 +69,26 @@ void main()
     grid_place = (vec2(texel) + 0.5) * cells_per_pixel;
     panel_place = (vec2(texel) + 0.5) / vec2(size);
     ivec2 upper_left = min(ivec2(grid_place), points - 2);
-    Cell of_cell = cell_at(upper_left);
-    if (of_cell.is_covered)
+    Cell of_cell = cell_at(mixed_bends_and_ranges, upper_left), front = cell_at(front_ranges, upper_left);
+    if (is_backdrop ? front.is_covered || front.is_direct : of_cell.is_covered)
         return;
     cell = vec2(upper_left);
     range = of_cell.range;
     samples_per_axis = of_cell.samples_per_axis;
-    is_direct = of_cell.is_direct;
+    is_direct = of_cell.is_direct && !is_backdrop;
     filled = of_cell.is_filled ? 1.0 : 0.0;
+    nearest_shown = nearest_shown_in(front);
     find_channel(0, upper_left, cells_per_pixel);
 #if CHANNELS == 3
     find_channel(1, upper_left, cells_per_pixel);
     find_channel(2, upper_left, cells_per_pixel);
 #endif
-    if (!shade())
+    is_needed = !is_backdrop || int(texelFetch(front_status, texel, 0).r) == DISOCCLUDED;
+    if (!is_needed || !shade())
         return;
     imageStore(colour_image, texel, vec4(light, alpha));
+    if (is_backdrop)
+        return;
     imageStore(status_image, texel, uvec4(worst));
     if (with_source)
         imageStore(source_image, texel, vec4(seen_at, 0.0, 0.0));

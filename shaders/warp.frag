@@ -16,12 +16,17 @@ flat in vec2 cell;
 flat in vec2 range;
 flat in float samples_per_axis;
 flat in float filled;  // 1 if an inset's wider picture is not drawn here
+flat in float nearest_shown;  // inverse depth
+
+uniform bool is_backdrop;  // see warp_cell.glsl
+uniform usampler2D front_status;
 
 layout(location = 0) out vec4 colour;
 layout(location = 1) out uint worst_status;
 layout(location = 2) out vec2 source;
 
 const bool is_direct = MARCH == 0;
+bool is_needed;  // a backdrop is not where the picture in front shows something
 
 void sides_of_pixel(const int channel, out vec2 across, out vec2 down)
 {
@@ -33,6 +38,7 @@ void sides_of_pixel(const int channel, out vec2 across, out vec2 down)
 
 void main()
 {
+    is_needed = !is_backdrop || int(texelFetch(front_status, ivec2(gl_FragCoord), 0).r) == DISOCCLUDED;
     if (!shade())
         discard;
     colour = vec4(light, alpha);

@@ -1,8 +1,9 @@
 // What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.
 //
 // warp.frag and warp.comp run it for each pixel. They have before it, for its place in a cell of the warp grid: grid_place,
-// cell, range, samples_per_axis, is_direct, filled, and with UNIFORMITY panel_place; for each channel: path, bend,
-// mixed_bend, known, and the function sides_of_pixel, which gives the sides of a display pixel in the image.
+// cell, range, samples_per_axis, is_direct, filled, nearest_shown, is_backdrop, is_needed, and with UNIFORMITY panel_place;
+// for each channel: path, bend, mixed_bend, known, and the function sides_of_pixel, which gives the sides of a display
+// pixel in the image.
 //
 // Written for software renderers too: a texture read at normalised coordinates costs them less than a fetch.
 
@@ -119,7 +120,8 @@ void add_channel(const int channel)
         vec2 nearby = at_infinity + 0.5 * (range.x + range.y) * shift;
         pixel = at_infinity + inverse_depth_at(nearby) * shift;
     } else {
-        status = march(at_infinity, shift, pixel, inverse, half_px);
+        status = march(at_infinity, shift, is_needed ? range : range.xx, pixel, inverse, half_px);
+        status = inverse > nearest_shown ? DISOCCLUDED : status;
     }
     float margin = is_inset ? 0.5 : 0.0;
     bool inside = all(greaterThanEqual(pixel, vec2(margin))) && all(lessThanEqual(pixel, size_px - margin));
@@ -144,7 +146,7 @@ void add_channel(const int channel)
     seen_at = channel == CHANNELS / 2 ? (found ? pixel : vec2(NOWHERE)) : seen_at;
 }
 
-// Whether the pixel is drawn: not where the wider picture of an inset is there already.
+// Whether the pixel is drawn: not where the wider picture of an inset or that in front of a backdrop is there already.
 bool shade()
 {
     size_px = vec2(size_of(picture));
@@ -159,5 +161,5 @@ bool shade()
     light *= sampled(uniformity, panel_place).rgb;
 #endif
     light = code_of(light);
-    return !is_inset || worst <= DISOCCLUDED;
+    return is_backdrop ? is_needed && worst == SEEN : !is_inset || worst <= DISOCCLUDED;
 }

@@ -5,6 +5,10 @@ uniform sampler2D bends;
 uniform sampler2D mixed_bends_and_ranges;
 uniform float most_samples_per_axis;  // of a display pixel
 
+// The backdrop, an older picture, is drawn where the one in front is DISOCCLUDED, which is not in cells that it shows directly.
+uniform bool is_backdrop;
+uniform sampler2D front_ranges;
+
 // Of the two triangles of a cell, cut from the upper right to the lower left: the same three points in both shaders.
 const ivec2 CORNERS[6] = ivec2[](ivec2(0, 0), ivec2(1, 0), ivec2(0, 1), ivec2(1, 0), ivec2(1, 1), ivec2(0, 1));
 
@@ -21,13 +25,13 @@ ivec2 grid_points()
     return textureSize(paths, 0) / ivec2(1, CHANNELS);
 }
 
-Cell cell_at(ivec2 upper_left)
+Cell cell_at(sampler2D ranges, ivec2 upper_left)
 {
     Cell cell = Cell(vec2(MISSING, 0.0), 1.0, true, false, true);
     for (int channel = 0; channel < CHANNELS; ++channel) {
         float samples;
         bool is_filled;
-        vec2 range = fetched(mixed_bends_and_ranges, upper_left + ivec2(0, channel * grid_points().y)).zw;
+        vec2 range = fetched(ranges, upper_left + ivec2(0, channel * grid_points().y)).zw;
         range = without_notes(range, samples, is_filled);
         cell.is_filled = cell.is_filled && is_filled;
         cell.is_covered = cell.is_covered || range.x > 0.5 * MISSING;
@@ -36,6 +40,12 @@ Cell cell_at(ivec2 upper_left)
         cell.range = vec2(min(cell.range.x, min(range.x, range.y)), max(cell.range.y, max(range.x, range.y)));
     }
     return cell;
+}
+
+// The nearest that a backdrop shows: what is behind the surface that hides it.
+float nearest_shown_in(Cell front)
+{
+    return is_backdrop ? 0.5 * (front.range.x + front.range.y) : MISSING;
 }
 
 // 1 if the three points of a cell's first or second triangle have rays.

@@ -316,6 +316,7 @@ def test_pictures_on_their_way_share_three_buffers_and_stay_as_they_were(
 ) -> None:
     made = compositor(flat_image_headset)
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    made.compose()  # makes what all frames share
     sizes, buffer = list[int](), moderngl.Context.buffer
 
     def spy(*given: Any, **options: Any) -> moderngl.Buffer:

@@ -4,6 +4,7 @@ import contextlib
 import ctypes
 import weakref
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -247,6 +248,11 @@ class GlContext:
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         texture.repeat_x = texture.repeat_y = False
         return texture
+
+    @cached_property
+    def no_status(self) -> Texture:
+        """A texture of integers for programs that are not to read one; call it in a drawing block first."""
+        return self.target((1, 1), 1, "u1")
 
     def srgb_texture(self, image: NDArray[np.uint8]) -> Texture:
         """Return an sRGB picture (height, width, 3) that is sampled in linear light, bilinear, repeating.

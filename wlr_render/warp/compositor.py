@@ -39,13 +39,12 @@ from wlr_render.warp.checks import (
 from wlr_render.warp.composed_frame import ComposedFrame
 from wlr_render.warp.eye_camera import EyeCamera
 from wlr_render.warp.frame_handle import FrameHandle, FrameHistory, MotionPredictor, Scan, row_poses
-from wlr_render.warp.gl_backend import GlBackend, HostState
-from wlr_render.warp.gl_warp import MAX_OVERLAYS
+from wlr_render.warp.gl_backend import GlBackend, HiddenAreas, HostState
+from wlr_render.warp.gl_cells import MAX_OVERLAYS
 from wlr_render.warp.panel_light import SRGB_PANEL, PanelLight
 from wlr_render.warp.raster_camera import EyePlan, RasterPlace
 from wlr_render.warp.stored_picture import CODES, METRES, PREMULTIPLIED, Rows, StoredColour, StoredDepth
 from wlr_render.warp.submitted import pictures_of_eyes
-from wlr_render.warp.view import image_from_ray_map
 
 
 class Compositor:
@@ -70,6 +69,7 @@ class Compositor:
         late_margin_deg: float = 1.0,
         background: tuple[int, int, int] = (0, 0, 0),
         panel: PanelLight | Mapping[str, PanelLight] = SRGB_PANEL,
+        hidden_areas: HiddenAreas = "repeated",
     ) -> None:
         """Prepare; `prepare` also compiles all shaders.
 
@@ -89,6 +89,8 @@ class Compositor:
             late_margin_deg: largest head rotation between drawing and scan-out without black borders, 0 to 20.
             background: sRGB of pixels that fall outside the picture.
             panel: encoding, uniformity, sub-pixels and bits of the panels' light; one for all eyes, or by eye.
+            hidden_areas: what fills areas that edges hide from the newest picture (DISOCCLUDED): the colours beside
+                them, "repeated", or the eye's "last picture" where that saw them (docs/realtime.md).
 
         Raises:
             BadInputError: models that do not fit together, no size, or an unknown choice.
@@ -100,6 +102,7 @@ class Compositor:
         margin = float(np.tan(np.deg2rad(checked_number(late_margin_deg, "late_margin_deg", 0, 20))))
         checked_choice(raster_camera, typing.get_args(RasterPlace), "raster_camera")
         checked_choice(host_state, typing.get_args(HostState), "host_state")
+        checked_choice(hidden_areas, typing.get_args(HiddenAreas), "hidden_areas")
         colour = checked_background(background)
         panels = checked_panels(panel, list(channels), self.size_px)
         self._models = channels
@@ -108,7 +111,8 @@ class Compositor:
         }
         for plan in self._plans.values():
             check_camera_size(plan)
-        self._backend = GlBackend(context, host_state, list(self._plans.values()), colour, panels)
+        plans = list(self._plans.values())
+        self._backend = GlBackend(context, host_state, plans, colour, panels, hidden_areas == "last picture")
         self._predictor = MotionPredictor({eye: group[0].eye_box for eye, group in channels.items()})
         self._history = FrameHistory()
         self._released = False
@@ -323,12 +327,10 @@ class Compositor:
             newest, measured = self._predictor.predict(newest, measured, time_s, predict_s)
             viewpoints = self._history.viewpoints | measured
             for eye in chosen:
-                view, at, plan = self._history.drawn[eye].view, viewpoints[eye], self._plans[eye]
-                grid_rows, height_px = plan.warp_grid.grid.rows, self.size_px[1]
+                grid_rows, height_px = self._plans[eye].warp_grid.grid.rows, self.size_px[1]
                 poses = newest if last_row is None else row_poses(newest, last_row, height_px, grid_rows, scan)
-                moved = image_from_ray_map(view, at, plan.device_from_camera, poses)
-                over = self._backend.eyes[eye].seen_overlays(view, newest)
-                composed[eye] = self._backend.eyes[eye].compose(at, moved, targets.get(eye), with_source, over)
+                to = targets.get(eye)
+                composed[eye] = self._backend.eyes[eye].compose(viewpoints[eye], newest, poses, to, with_source)
         generations = {eye: self._backend.eyes[eye].generation for eye in chosen}
 
         def check_readable(eye: str) -> None:

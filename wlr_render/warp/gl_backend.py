@@ -19,7 +19,7 @@ from wlr_render.warp.composed_frame import CachedRayMaps, GlComposed
 from wlr_render.warp.gl_overlay import Overlay, OverlayImport, Quad, SeenOverlay
 from wlr_render.warp.gl_panel import PanelEncoder
 from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
-from wlr_render.warp.gl_warp import GlWarp, GpuWarped, WarpedPicture, WarpTarget
+from wlr_render.warp.gl_warp import Backdrop, GlWarp, GpuWarped, WarpedPicture, WarpTarget
 from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.panel_light import PanelLight
 from wlr_render.warp.picture_import import PictureImport
@@ -27,10 +27,13 @@ from wlr_render.warp.raster_camera import EyePlan
 from wlr_render.warp.ray_map import RayMapPlan, RayMapSolver, choose_plan
 from wlr_render.warp.stored_picture import Rows, StoredColour, StoredDepth
 from wlr_render.warp.target_framebuffers import TargetFramebuffers
-from wlr_render.warp.view import View
+from wlr_render.warp.view import View, image_from_ray_map
 
 HostState = Literal["kept", "clean"]
 """Who keeps the OpenGL state of an adopted context, see `Compositor`."""
+
+HiddenAreas = Literal["repeated", "last picture"]
+"""What fills areas that edges hide from the newest picture, see `Compositor`."""
 
 CONTEXTS = ("auto", "egl", "osmesa", "current")
 
@@ -44,6 +47,7 @@ class GlEye:
         plan: EyePlan,
         background: tuple[int, int, int],
         panel: PanelLight,
+        keeps_last_picture: bool,
     ) -> None:
         self._context, self.size_px = context, plan.size_px
         self._plan, self._background = plan, background
@@ -56,8 +60,12 @@ class GlEye:
         self._warp = GlWarp(context, len(channels), self._encoder)
         self._warp_of_sources = GlWarp(context, len(channels), self._encoder)  # draws pull maps of red and blue
         self._readbacks = ReadbackRing(context)
-        self._import = PictureImport(context)
+        # Two pictures are kept in turn.
+        self._imports = [PictureImport(context) for _ in range(1 + keeps_last_picture)]
+        self._keeps_last_picture = keeps_last_picture
         self._pictures: list[WarpedPicture] = []  # the widest first
+        self._views: list[View] = []  # of the newest picture, and of the last one if it is kept
+        self._last_picture: WarpedPicture | None = None
         self._import_insets: list[PictureImport] = []
         self._import_overlays: dict[int, OverlayImport] = {}
         self._overlays: dict[int, Overlay] = {}
@@ -71,7 +79,11 @@ class GlEye:
         if isinstance(colour, GpuImage):
             image = checked_image(colour, view, self._context)
         else:
-            image = self._import.take(view.camera, colour, depth, stored, rows, stored_colour)
+            image = self._imports[-1].take(view.camera, colour, depth, stored, rows, stored_colour)
+            self._imports = self._imports[::-1]
+        if self._keeps_last_picture and self._pictures:
+            self._last_picture = self._pictures[0]
+        self._views = [view, *self._views[:1]]
         self._pictures = [WarpedPicture(image, self._plan.samples_per_axis)]
 
     def is_drawn_whole(self, view: View) -> bool:
@@ -137,15 +149,27 @@ class GlEye:
     def compose(
         self,
         viewpoint: FloatArray,
-        image_from_ray_map: FloatArray,
+        world_from_device: FloatArray,
+        world_from_device_by_row: FloatArray,
         target: WarpTarget | None,
         with_source: bool,
-        overlays: Sequence[SeenOverlay],
     ) -> GlComposed:
-        """Return the picture for a viewpoint (3,), through (4, 4) or (grid rows, 4, 4), into a target of `targets`."""
+        """Return the picture for a viewpoint (3,) and a head pose (4, 4), into a target of `targets`.
+
+        The poses by row are one (4, 4), or (grid rows, 4, 4).
+        """
         assert self._pictures, "the compositor checks that the eye is submitted"
         self.generation += 1
-        return self._composed(self._pictures, viewpoint, image_from_ray_map, target, with_source, overlays)
+
+        def seen_from(view: View) -> tuple[FloatArray, list[SeenOverlay]]:
+            moved = image_from_ray_map(view, viewpoint, self._plan.device_from_camera, world_from_device_by_row)
+            return moved, self.seen_overlays(view, world_from_device)
+
+        last, backdrop = self._last_picture, None
+        if last is not None and not last.image.is_overwritten():
+            backdrop = Backdrop(last, *seen_from(self._views[1]))
+        moved, overlays = seen_from(self._views[0])
+        return self._composed(self._pictures, viewpoint, moved, target, with_source, overlays, backdrop)
 
     def prepare(self, framebuffer: gl.Framebuffer, overlays: int, insets: bool) -> None:
         """Draw once in every way, which compiles the shaders; see `Compositor.prepare`."""
@@ -158,7 +182,7 @@ class GlEye:
         if overlays:
             OverlayImport(self._context)
         if insets:
-            self._import.inset_program()
+            self._imports[0].inset_program()
         overlay = SeenOverlay(image.colour, np.eye(3))
         for target, pictures, over in itertools.product(
             (None, WarpTarget(framebuffer, (0, 0), plan.size_px, False)),
@@ -176,14 +200,15 @@ class GlEye:
         target: WarpTarget | None,
         with_source: bool,
         overlays: Sequence[SeenOverlay],
+        backdrop: Backdrop | None = None,
     ) -> GlComposed:
         ray_maps, (widest, *insets) = self._ray_maps.at(viewpoint), pictures
         drawn, settings = (widest.image, ray_maps, image_from_ray_map), (self._background, widest.samples_per_axis)
         if target is not None:
-            self._warp.draw_into(target, *drawn, *settings, overlays, insets)
+            self._warp.draw_into(target, *drawn, *settings, overlays, insets, backdrop)
             return GlComposed(None, ray_maps, self._readbacks)
         size_px = self._plan.size_px
-        warped = self._warp.draw(*drawn, size_px, *settings, with_source, overlays, insets)
+        warped = self._warp.draw(*drawn, size_px, *settings, with_source, overlays, insets, backdrop)
         if not with_source or len(ray_maps) == 1:
             return GlComposed(warped, ray_maps, self._readbacks)
 
@@ -195,7 +220,7 @@ class GlEye:
                 )
             # The program of three channels, which is there already, gives the pull map of the middle one.
             of_channel = widest.image, [ray_maps[channel]] * len(ray_maps), image_from_ray_map
-            return self._warp_of_sources.draw(*of_channel, size_px, *settings, with_source=True, insets=insets)
+            return self._warp_of_sources.draw(*of_channel, size_px, *settings, True, (), insets, backdrop)
 
         return GlComposed(warped, ray_maps, self._readbacks, draw_source)
 
@@ -210,6 +235,7 @@ class GlBackend:
         plans: Sequence[EyePlan],
         background: tuple[int, int, int],
         panels: Mapping[str, PanelLight],
+        keeps_last_pictures: bool,
     ) -> None:
         """Open, adopt or share the context, see `Compositor`.
 
@@ -224,7 +250,9 @@ class GlBackend:
         try:
             for plan in plans:
                 _check_sizes(plan, self.context.largest_side_px)
-            self.eyes = {plan.eye: GlEye(self.context, plan, background, panels[plan.eye]) for plan in plans}
+            self.eyes = {
+                plan.eye: GlEye(self.context, plan, background, panels[plan.eye], keeps_last_pictures) for plan in plans
+            }
         except BaseException:
             self.release()
             raise

@@ -4,8 +4,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import pixels_from
@@ -13,34 +15,13 @@ from wlr_render.gl import gl
 from wlr_render.gl.readback import read_rgb
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.srgb import decode_srgb
+from wlr_render.warp.gl_cells import MAX_OVERLAYS, WARP_CONSTANTS, Cells, GlCells
 from wlr_render.warp.gl_overlay import SeenOverlay
 from wlr_render.warp.gl_panel import SRGB_ENCODER, PanelEncoder
 from wlr_render.warp.gl_ray_maps import RayTexture
-from wlr_render.warp.gpu_image import DepthRanges, GlDepthRanges, GpuImage
+from wlr_render.warp.gpu_image import GlDepthRanges, GpuImage
 from wlr_render.warp.grid import WarpGrid
-from wlr_render.warp.raster_camera import MAX_SAMPLES
-from wlr_render.warp.warp import (
-    DIRECT_PX,
-    SPACING_PX,
-    SURFACE_STEP,
-    TILE,
-    WarpedImage,
-    WarpStatus,
-)
-
-MAX_OVERLAYS = 4
-"""Overlays of an eye that are shown at once."""
-
-CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
-    "SURFACE_STEP": SURFACE_STEP,
-    "TILE": TILE,
-    "DIRECT_PX": DIRECT_PX,
-    "SPACING_PX": SPACING_PX,
-    "MISSING": 1e30,
-    "MAX_OVERLAYS": MAX_OVERLAYS,
-    "MOST_SAMPLES": float(MAX_SAMPLES),
-}
-
+from wlr_render.warp.warp import WarpedImage
 
 _Run = tuple[gl.Program | gl.ComputeShader, Callable[[], object]]
 """A program, and what runs it when its textures and uniforms are set."""
@@ -58,6 +39,21 @@ class WarpedPicture:
 
     image: GpuImage
     samples_per_axis: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Backdrop:
+    """An older picture, shown where the newest one is DISOCCLUDED.
+
+    Attributes:
+        picture: of another view.
+        image_from_ray_map: as in `GlWarp.draw`, to this picture's camera frame.
+        overlays: seen by its camera, those of the newest picture.
+    """
+
+    picture: WarpedPicture
+    image_from_ray_map: FloatArray
+    overlays: Sequence[SeenOverlay] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,14 +110,20 @@ class GlWarp:
     An inset, a sharper image of a part of the field of view, is drawn in the same way over the wider image; the wider
     image skips the cells that the inset fills. The inset's border blends into the wider image (`PictureImport.take`),
     so that no seam is visible.
+
+    A backdrop, an older picture of another view, is drawn where that is DISOCCLUDED. What is nearer than the middle of
+    the depths of the newer picture's cell is not taken from it: it may have moved since.
     """
 
     def __init__(self, context: gl.GlContext, channels: int = 1, panel: PanelEncoder = SRGB_ENCODER) -> None:
         """Prepare for one ray map, or for 3: one per colour channel (red, green, blue)."""
         self._context, self._channels, self._panel = context, channels, panel
-        self._cells: list[_GlCells] = []
+        self._ranges = GlDepthRanges(context)  # of the widest picture and of the backdrop
+        self._cells: list[GlCells] = []
+        self._backdrop_cells: GlCells | None = None
         self._targets = gl.RenderTargets(context)
-        self._drawings: dict[tuple[int, bool], gl.VertexArray] = {}
+        self._colours: WeakKeyDictionary[gl.RenderTarget, gl.RenderTarget] = WeakKeyDictionary()
+        self._drawings: dict[tuple[int, bool, int], gl.VertexArray] = {}
 
     def draw(
         self,
@@ -134,6 +136,7 @@ class GlWarp:
         with_source: bool = False,
         overlays: Sequence[SeenOverlay] = (),
         insets: Sequence[WarpedPicture] = (),
+        backdrop: Backdrop | None = None,
     ) -> GpuWarped:
         """Draw the display image and leave it on the GPU.
 
@@ -148,6 +151,7 @@ class GlWarp:
             with_source: make the pull map as well, in pixels of the image.
             overlays: pictures drawn over the image in this order, at most MAX_OVERLAYS.
             insets: of the image's camera frame, each within the picture before and sharper.
+            backdrop: what is shown where the image and the insets are DISOCCLUDED. Status and pull map stay theirs.
 
         Raises:
             BadInputError: the number of ray maps or the shape of the transforms does not fit.
@@ -155,7 +159,7 @@ class GlWarp:
         with self._context.drawing():
             made = self._own_target(size_px, with_source)
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
-            self._draw(pictures, ray_maps, image_from_ray_map, made, background, overlays)
+            self._draw(pictures, ray_maps, image_from_ray_map, made, background, overlays, backdrop)
         colour, status, *source = made.textures
         return GpuWarped(self._context, colour, status, source[0] if source else None)
 
@@ -169,6 +173,7 @@ class GlWarp:
         samples_per_axis: int = 1,
         overlays: Sequence[SeenOverlay] = (),
         insets: Sequence[WarpedPicture] = (),
+        backdrop: Backdrop | None = None,
     ) -> None:
         """Draw the colour of the same image into a caller's framebuffer; arguments and errors as `draw`."""
         with self._context.drawing():
@@ -176,12 +181,12 @@ class GlWarp:
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
             drawn = pictures, ray_maps, image_from_ray_map
             try:
-                if self._context.computes:
+                if self._context.computes or backdrop is not None:
                     made = self._target_to_copy(target.size_px)
-                    self._draw(*drawn, made, background, overlays)
+                    self._draw(*drawn, made, background, overlays, backdrop)
                     self._copy(made.textures[0], target)
                 else:
-                    self._draw(*drawn, target, background, overlays)
+                    self._draw(*drawn, target, background, overlays, backdrop)
             finally:
                 target.framebuffer.viewport = before
 
@@ -204,54 +209,77 @@ class GlWarp:
         target: WarpTarget | gl.RenderTarget,
         background: tuple[int, int, int],
         overlays: Sequence[SeenOverlay],
+        backdrop: Backdrop | None,
     ) -> None:
         """Draw to a caller's target, or to one of ours: by a compute shader where the context prefers it."""
         size_px = target.size_px if isinstance(target, WarpTarget) else target.framebuffer.size
         _check(ray_maps, self._channels, image_from_ray_map)
+        cells = self._drawn_cells(pictures, ray_maps, image_from_ray_map, size_px)
+        if backdrop is not None:
+            drawn = backdrop.picture.image, ray_maps, backdrop.image_from_ray_map, size_px
+            self._backdrop_cells = self._backdrop_cells or GlCells(self._context, self._channels, self._ranges)
+            backdrop_cells = self._backdrop_cells.draw(*drawn, is_inset=False, inset=None)
+        light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
+        for k, (picture, front) in enumerate(zip(pictures, cells, strict=True)):
+            widest_from_inset = pixels_from(picture.image.camera, pictures[0].image.camera)
+            uniforms = {"background": light, "is_inset": k > 0, "widest_from_inset": widest_from_inset}
+            for program, run in self._runs(target, ray_maps[0].warp_grid, bool(overlays)):
+                self._set(program, picture, front, overlays or None, uniforms)
+                run()
+            if backdrop is not None and isinstance(target, gl.RenderTarget):
+                program, run = self._runs(self._without_status(target), ray_maps[0].warp_grid, bool(overlays))[-1]
+                uniforms |= {"is_inset": False}
+                over = backdrop.overlays if overlays else None
+                self._set(program, backdrop.picture, backdrop_cells, over, uniforms, front, target.textures[1])
+                run()
+
+    def _without_status(self, target: gl.RenderTarget) -> gl.RenderTarget:
+        """Return a target of the colour alone, drawn to while the status is read."""
+        if target not in self._colours:
+            colour = target.textures[0]
+            self._colours[target] = gl.RenderTarget(self._context.framebuffer([colour]), (colour,))
+        return self._colours[target]
+
+    def _drawn_cells(
+        self,
+        pictures: Sequence[WarpedPicture],
+        ray_maps: Sequence[RayTexture],
+        image_from_ray_map: FloatArray,
+        size_px: tuple[int, int],
+    ) -> list[Cells]:
         while len(self._cells) < len(pictures):
-            self._cells.append(_GlCells(self._context, self._channels))
-        cells: list[_Cells] = []  # the sharpest picture comes first: a wider picture's cells depend on it
+            ranges = GlDepthRanges(self._context) if self._cells else self._ranges
+            self._cells.append(GlCells(self._context, self._channels, ranges))
+        cells: list[Cells] = []  # the sharpest picture comes first: a wider picture's cells depend on it
         for k in reversed(range(len(pictures))):
             drawn = pictures[k].image, ray_maps, image_from_ray_map, size_px
             cells.insert(0, self._cells[k].draw(*drawn, is_inset=k > 0, inset=cells[0] if cells else None))
-        if isinstance(target, gl.RenderTarget) and self._context.computes:
-            runs = self._computing(target, bool(overlays))
-        else:
-            if isinstance(target, gl.RenderTarget):
-                target = WarpTarget(target.framebuffer, (0, 0), size_px, True)
-            runs = self._drawing(target, ray_maps[0].warp_grid, bool(overlays))
-        light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
-        for k, (picture, of_picture) in enumerate(zip(pictures, cells, strict=True)):
-            uniforms = {"background": light, "is_inset": k > 0}
-            uniforms["widest_from_inset"] = pixels_from(picture.image.camera, pictures[0].image.camera)
-            for program, run in runs:
-                self._set(program, picture, of_picture, overlays, uniforms)
-                run()
+        return cells
 
-    def _drawing(self, target: WarpTarget, warp_grid: WarpGrid, overlays: bool) -> list[_Run]:
-        """Return the programs of both kinds of cells, which draw to a target."""
+    def _runs(self, target: WarpTarget | gl.RenderTarget, warp_grid: WarpGrid, overlays: bool) -> list[_Run]:
+        """Return the programs that draw to a target: of both kinds of cells, or one for all; the last follows depth."""
+        if isinstance(target, gl.RenderTarget):
+            if self._context.computes:
+                program = self._context.compute_program("warp.comp", **self._constants(overlays))
+                gl.set_uniforms(program, with_source=len(target.textures) > 2)
+                return [(program, partial(self._context.compute, program, target.textures))]
+            target = WarpTarget(target.framebuffer, (0, 0), target.framebuffer.size, True)
         target.framebuffer.viewport = (*target.first_px, *target.size_px)
         self._context.draw_to(target.framebuffer)
-        vertices = 6 * (warp_grid.columns - 1) * (warp_grid.rows - 1)
+        cells = (warp_grid.columns - 1) * (warp_grid.rows - 1)
         runs: list[_Run] = []
         for march in (0, 1):
-            key = march, overlays
+            key = march, overlays, cells
             if key not in self._drawings:
-                program = self._context.program("warp.vert", "warp.frag", MARCH=march, **self._constants(overlays))
-                self._drawings[key] = self._context.no_vertices(program)
+                of_cells = self._context.program("warp.vert", "warp.frag", MARCH=march, **self._constants(overlays))
+                self._drawings[key] = self._context.triangles(of_cells, {}, _triangles_of(cells))
             drawing = self._drawings[key]
             gl.set_uniforms(drawing.program, top_row_first=target.top_row_first)
-            runs.append((drawing.program, partial(drawing.render, vertices=vertices)))
+            runs.append((drawing.program, drawing.render))
         return runs
 
-    def _computing(self, target: gl.RenderTarget, overlays: bool) -> list[_Run]:
-        """Return the compute shader for all cells, which writes into a target's textures."""
-        program = self._context.compute_program("warp.comp", **self._constants(overlays))
-        gl.set_uniforms(program, with_source=len(target.textures) > 2)
-        return [(program, partial(self._context.compute, program, target.textures))]
-
     def _constants(self, overlays: bool) -> dict[str, float]:
-        return {"OVERLAYS": int(overlays), "CHANNELS": self._channels} | self._panel.constants | CONSTANTS
+        return {"OVERLAYS": int(overlays), "CHANNELS": self._channels} | self._panel.constants | WARP_CONSTANTS
 
     def _copy(self, colour: gl.Texture, target: WarpTarget) -> None:
         """Copy a picture to a caller's target, whose format and number of samples may be any."""
@@ -267,19 +295,25 @@ class GlWarp:
         self,
         program: gl.Program | gl.ComputeShader,
         picture: WarpedPicture,
-        cells: "_Cells",
-        overlays: Sequence[SeenOverlay],
+        cells: Cells,
+        overlays: Sequence[SeenOverlay] | None,
         uniforms: dict[str, Any],
+        front: Cells | None = None,
+        front_status: gl.Texture | None = None,
     ) -> None:
-        """Give a program the textures and uniforms of a picture."""
+        """Give a program the textures and uniforms of a picture; overlays are None for a program without them.
+
+        A backdrop also has the cells and the status of the one in front.
+        """
         image = picture.image
         gl.read_between_texels(image.colour)
         textures: dict[str, Any] = dict(self._panel.textures)
-        if overlays:
-            textures["overlays"] = [overlays[k % len(overlays)].texture for k in range(MAX_OVERLAYS)]
-            places = np.zeros((3 * MAX_OVERLAYS, 3))
-            on_quads = [each.place_of_ray @ image.camera.camera_from_image for each in overlays]
-            places[: 3 * len(overlays)] = np.concatenate(on_quads)
+        if overlays is not None:
+            given = [each.texture for each in overlays]
+            textures["overlays"] = given + [image.colour] * (MAX_OVERLAYS - len(given))
+            places = np.zeros((MAX_OVERLAYS, 3, 3))
+            for place, overlay in zip(places, overlays, strict=False):
+                place[:] = overlay.place_of_ray @ image.camera.camera_from_image
             gl.set_array(program, "overlay_place", places)
             gl.set_uniforms(program, overlay_count=len(overlays))
         gl.bind_textures(
@@ -288,68 +322,24 @@ class GlWarp:
             tiles=cells.ranges.tiles,
             bends=cells.bends,
             mixed_bends_and_ranges=cells.mixed_bends_and_ranges,
+            front_ranges=(front or cells).mixed_bends_and_ranges,
+            front_status=front_status or self._context.no_status,
             picture=image.colour,
             inverse_depth=image.inverse_depth,
             **textures,
         )
         opaque, samples = 0.0 if image.has_alpha else 1.0, float(picture.samples_per_axis)
-        gl.set_uniforms(program, opaque=opaque, most_samples_per_axis=samples, **uniforms)
+        gl.set_uniforms(
+            program, opaque=opaque, most_samples_per_axis=samples, is_backdrop=front is not None, **uniforms
+        )
 
 
-@dataclass(frozen=True, eq=False)
-class _Cells:
-    """Outputs of `cells.frag` for a picture, and the bounds of the picture's depths."""
+def _triangles_of(cells: int) -> NDArray[np.uint32]:
+    """Vertices of both triangles of each cell, whose corners are numbered by rows: (cells, 6).
 
-    paths: gl.Texture
-    bends: gl.Texture
-    mixed_bends_and_ranges: gl.Texture
-    ranges: DepthRanges
-
-
-class _GlCells:
-    """Draws `cells.frag` for one picture of a frame: the widest, or an inset; textures are reused between frames."""
-
-    def __init__(self, context: gl.GlContext, channels: int) -> None:
-        self._channels = channels
-        self._ranges, self._targets = GlDepthRanges(context), gl.RenderTargets(context)
-        self._filling = gl.Pass(context, "cells.frag", CHANNELS=channels, **CONSTANTS)
-
-    def draw(
-        self,
-        image: GpuImage,
-        ray_maps: Sequence[RayTexture],
-        image_from_ray_map: FloatArray,
-        display_size_px: tuple[int, int],
-        is_inset: bool,
-        inset: _Cells | None,
-    ) -> _Cells:
-        """Find the cells of a picture, which may be an inset, and may have one."""
-        ranges = self._ranges.of(image)
-        warp_grid = ray_maps[0].warp_grid
-        matrices = image.camera.image_from_camera @ image_from_ray_map
-        by_rows = matrices.ndim == 3
-        cells = self._targets.get("cells", (warp_grid.columns, warp_grid.rows * self._channels), *[(4, "f4")] * 3)
-        program = self._filling.program
-        rays = [each.slope_offset for each in ray_maps]
-        # The tiles stay on their unit for the warp. Unused samplers share a texture: they must not read a target.
-        unused = dict.fromkeys(("row_matrices", "inset_ranges"), rays[0])
-        textures: dict[str, Any] = {"ranges": ranges.pyramid, "tiles": ranges.tiles, "slope_offset": rays, **unused}
-        if by_rows:
-            rows = self._targets.get("row matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
-            rows.write(np.ascontiguousarray(matrices, np.float32))
-            textures["row_matrices"] = rows
-        else:
-            gl.set_array(program, "camera_matrix", matrices)
-        if inset is not None:
-            textures["inset_ranges"] = inset.mixed_bends_and_ranges
-        gl.set_uniforms(program, has_row_matrices=by_rows, is_inset=is_inset, has_inset=inset is not None)
-        gl.bind_textures(program, **textures)
-        per_cell = (display_size_px[0] / (warp_grid.columns - 1), display_size_px[1] / (warp_grid.rows - 1))
-        size_px = image.inverse_depth.size
-        gl.set_uniforms(program, size_px=tuple(map(float, size_px)), display_px_per_cell=per_cell)
-        self._filling.fill(cells)
-        paths, bends, mixed_bends_and_ranges = cells.textures
-        return _Cells(paths, bends, mixed_bends_and_ranges, ranges)
+    The last vertex of each has the values that hold for the whole triangle.
+    """
+    return np.array([1, 2, 0, 1, 2, 3], np.uint32) + 4 * np.arange(cells, dtype=np.uint32)[:, None]
 
 
 def _check(ray_maps: Sequence[RayTexture], channels: int, image_from_ray_map: FloatArray) -> None:

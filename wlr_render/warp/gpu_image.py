@@ -89,33 +89,35 @@ class DepthRanges:
 
 
 class GlDepthRanges:
-    """Computes `DepthRanges`; textures are reused between images of one size."""
+    """Computes `DepthRanges`, and keeps those of two images; textures are reused between images of one size."""
 
     def __init__(self, context: gl.GlContext) -> None:
-        self._targets = gl.RenderTargets(context)
-        self._last: tuple[GpuImage, DepthRanges] | None = None
+        self._targets = gl.RenderTargets(context), gl.RenderTargets(context)
+        self._kept: list[tuple[GpuImage, DepthRanges]] = []  # the newest first
         with context.drawing():
             self._of_image = gl.Pass(context, "tile_range.frag", TILE=TILE)
             self._of_tiles = gl.Pass(context, "range_pyramid.frag", TILE=TILE)
 
     def of(self, image: GpuImage) -> DepthRanges:
-        """Return textures that the next image's overwrite. Call within a `drawing` block.
+        """Return textures that the image after the next one overwrites. Call within a `drawing` block.
 
         An image that is warped again, as for a newer pose, has them already.
         """
-        if self._last is not None and self._last[0] is image:
-            return self._last[1]
+        for kept, ranges in self._kept:
+            if kept is image:
+                return ranges
+        self._targets = self._targets[::-1]
         size = image.inverse_depth.size
         (tiles,) = self._draw("tiles", self._of_image, _tiled(size), values=image.inverse_depth)
         large_size = _tiled(_tiled(size))
         (large,) = self._draw("large tiles", self._of_tiles, large_size, large_tiles=image.inverse_depth, tiles=tiles)
         side = 1 << max(2, (-(-max(_tiled(size)) // 2) - 1).bit_length())
         (pyramid,) = self._draw("pyramid", self._of_tiles, (2 * side, side), large_tiles=large, tiles=tiles)
-        self._last = image, DepthRanges(tiles, pyramid)
-        return self._last[1]
+        self._kept = [(image, DepthRanges(tiles, pyramid)), *self._kept[:1]]
+        return self._kept[0][1]
 
     def _draw(self, name: str, filling: gl.Pass, size: tuple[int, int], **textures: gl.Texture) -> Sequence[gl.Texture]:
-        target = self._targets.get(name, size, (2, "f4"))
+        target = self._targets[0].get(name, size, (2, "f4"))
         gl.bind_textures(filling.program, **textures)
         filling.fill(target)
         return target.textures

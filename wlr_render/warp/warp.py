@@ -24,7 +24,8 @@ surface where D(s(w)) = w. The algorithm:
 4. If the ray is behind at the second and the texels are not of one surface, the ray has passed a depth edge. The search
    continues: the ray may leave the occluder and meet the surface behind.
 5. Without an intersection the ray ends behind the last depth edge that it crossed, in a region hidden from the image:
-   DISOCCLUDED. The farther side of that edge is shown instead: s at the nearer of the edge's two inverse depths.
+   DISOCCLUDED. The farther side of that edge is shown instead: s at the nearer of the edge's two inverse depths. Where
+   an older picture is at hand and sees what is hidden there, it is shown.
 6. A position outside 0..width, 0..height is OUTSIDE; a NaN in the ray map, or a ray that does not lead forwards, is
    NO_RAY.
 

@@ -1,0 +1,85 @@
+"""Cells of a warp grid: where the rays of their corners appear in an image, and at which inverse depths they end."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wlr_render.gl import gl
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.gl_ray_maps import RayTexture
+from wlr_render.warp.gpu_image import DepthRanges, GlDepthRanges, GpuImage
+from wlr_render.warp.raster_camera import MAX_SAMPLES
+from wlr_render.warp.warp import DIRECT_PX, SPACING_PX, SURFACE_STEP, TILE, WarpStatus
+
+MAX_OVERLAYS = 4
+"""Overlays of an eye that are shown at once."""
+
+
+WARP_CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
+    "SURFACE_STEP": SURFACE_STEP,
+    "TILE": TILE,
+    "DIRECT_PX": DIRECT_PX,
+    "SPACING_PX": SPACING_PX,
+    "MISSING": 1e30,
+    "MAX_OVERLAYS": MAX_OVERLAYS,
+    "MOST_SAMPLES": float(MAX_SAMPLES),
+}
+"""Constants of the shaders of the cells and of the warp."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Outputs of `cells.frag` for a picture, and the bounds of the picture's depths."""
+
+    paths: gl.Texture
+    bends: gl.Texture
+    mixed_bends_and_ranges: gl.Texture
+    ranges: DepthRanges
+
+
+class GlCells:
+    """Draws `cells.frag` for one picture of a frame: the widest, or an inset; textures are reused between frames."""
+
+    def __init__(self, context: gl.GlContext, channels: int, ranges: GlDepthRanges) -> None:
+        self._channels = channels
+        self._ranges, self._targets = ranges, gl.RenderTargets(context)
+        self._filling = gl.Pass(context, "cells.frag", CHANNELS=channels, **WARP_CONSTANTS)
+
+    def draw(
+        self,
+        image: GpuImage,
+        ray_maps: Sequence[RayTexture],
+        image_from_ray_map: FloatArray,
+        display_size_px: tuple[int, int],
+        is_inset: bool,
+        inset: Cells | None,
+    ) -> Cells:
+        """Find the cells of a picture, which may be an inset, and may have one."""
+        ranges = self._ranges.of(image)
+        warp_grid = ray_maps[0].warp_grid
+        matrices = image.camera.image_from_camera @ image_from_ray_map
+        by_rows = matrices.ndim == 3
+        cells = self._targets.get("cells", (warp_grid.columns, warp_grid.rows * self._channels), *[(4, "f4")] * 3)
+        program = self._filling.program
+        rays = [each.slope_offset for each in ray_maps]
+        # The tiles stay on their unit for the warp. Unused samplers share a texture: they must not read a target.
+        unused = dict.fromkeys(("row_matrices", "inset_ranges"), rays[0])
+        textures: dict[str, Any] = {"ranges": ranges.pyramid, "tiles": ranges.tiles, "slope_offset": rays, **unused}
+        if by_rows:
+            rows = self._targets.get("row matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
+            rows.write(np.ascontiguousarray(matrices, np.float32))
+            textures["row_matrices"] = rows
+        else:
+            gl.set_array(program, "camera_matrix", matrices)
+        if inset is not None:
+            textures["inset_ranges"] = inset.mixed_bends_and_ranges
+        gl.set_uniforms(program, has_row_matrices=by_rows, is_inset=is_inset, has_inset=inset is not None)
+        gl.bind_textures(program, **textures)
+        per_cell = (display_size_px[0] / (warp_grid.columns - 1), display_size_px[1] / (warp_grid.rows - 1))
+        size_px = image.inverse_depth.size
+        gl.set_uniforms(program, size_px=tuple(map(float, size_px)), display_px_per_cell=per_cell)
+        self._filling.fill(cells)
+        paths, bends, mixed_bends_and_ranges = cells.textures
+        return Cells(paths, bends, mixed_bends_and_ranges, ranges)
