@@ -9,16 +9,19 @@ rays. This is the default, "nearest"; the paper's is "viewpoint".
 import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.io.input_files import shown
 from wlr_render.mappings import Eye, EyeChannels, middle_channel
-from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.warp.choose_grid import ChosenWarpGrid, choose_warp_grid
 from wlr_render.warp.grid import WarpGrid
@@ -143,14 +146,28 @@ def largest_minification(
         camera: of the image.
         size_px: (width, height) of the display picture, which covers the panel.
     """
+    _, sides, area = _footprints(slope_offset, warp_grid, camera, size_px)
+    squares = (sides**2).sum(axis=(-2, -1))
+    largest_squared = 0.5 * (squares + np.sqrt(np.maximum(squares**2 - 4 * area**2, 0.0)))
+    return float(np.sqrt(np.max(largest_squared, initial=0.0, where=np.isfinite(largest_squared))))
+
+
+def _footprints(
+    slope_offset: Float32Array, warp_grid: WarpGrid, camera: Pinhole, size_px: tuple[int, int]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the places of a warp grid's points in an image, and display pixels there, for points at infinity.
+
+    Arguments as `largest_minification`.
+
+    Returns:
+        The places (rows, columns, 2), and the sides (rows, columns, 2, 2), across and down, and the areas of display
+        pixels, in image pixels.
+    """
     points_per_pixel = warp_grid.panel.size_px / size_px / warp_grid.step_px
     at_infinity = camera.pixel_of_tangents(np.moveaxis(slope_offset[:2].astype(np.float64), 0, -1))
     down, across = np.gradient(at_infinity, axis=(0, 1))
-    across, down = across * points_per_pixel[0], down * points_per_pixel[1]
-    squares = (across**2 + down**2).sum(axis=-1)
-    area = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]
-    largest_squared = 0.5 * (squares + np.sqrt(np.maximum(squares**2 - 4 * area**2, 0.0)))
-    return float(np.sqrt(np.max(largest_squared, initial=0.0, where=np.isfinite(largest_squared))))
+    sides = np.stack([across, down], axis=-2) * points_per_pixel[:, None]
+    return at_infinity, sides, sides[..., 0, 0] * sides[..., 1, 1] - sides[..., 0, 1] * sides[..., 1, 0]
 
 
 def minification_over_eye_box(
@@ -164,21 +181,59 @@ def minification_over_eye_box(
         camera: of the image.
         size_px: (width, height) of the display picture.
     """
+    maps = _maps_of(mappings, device_from_camera, [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)])
+    return max(largest_minification(slope_offset, grid, camera, size_px) for grid, slope_offset in maps)
+
+
+def _maps_of(
+    mappings: Eye, device_from_camera: FloatArray, units: Iterable[tuple[float, ...]]
+) -> Iterator[tuple[WarpGrid, Float32Array]]:
+    """Yield the warp grid and its rays (4, rows, columns) at positions in the eye box, -1 to 1."""
     warp_grid = WarpGrid.edge_to_edge(mappings.display.panel, _POINTS, _POINTS)
-    box, pixel = mappings.eye_box, warp_grid.panel_pixel()
-    slope_offsets = [
-        solve_pixels(mappings, device_from_camera, pixel, box.at(unit)).slope_offset
-        for unit in np.array([[0.0, 0, 0], [1, 1, 1], [-1, -1, -1]])
-    ]
-    return max(
-        largest_minification(np.moveaxis(slope_offset, -1, 0).astype(np.float32), warp_grid, camera, size_px)
-        for slope_offset in slope_offsets
-    )
+    for unit in units:
+        viewpoint = mappings.eye_box.at(np.array(unit))
+        solved = solve_pixels(mappings, device_from_camera, warp_grid.panel_pixel(), viewpoint)
+        yield warp_grid, np.moveaxis(solved.slope_offset, -1, 0).astype(np.float32)
 
 
 def samples_for(minification: float) -> int:
     """Return samples per display pixel along each axis, 1 to MAX_SAMPLES, for `largest_minification`."""
     return min(max(math.ceil(minification / SPACING_PX), 1), MAX_SAMPLES)
+
+
+_SLACK = 1e-3  # of a display pixel, for rounding
+_BLOCKS = np.array([(4, 4), (4, 2), (2, 4), (2, 2), (2, 1), (1, 2), (1, 1)])
+"""Pixels (width, height) that Vulkan and Direct3D 12 can shade as one, the coarsest first."""
+
+
+def _cells_of(place: FloatArray, sides: FloatArray, area: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return the cells of a warp grid in an image, from `_footprints`: those with a corner that has a ray.
+
+    Returns:
+        First and last pixels (n, 2) of each, and whether each of `_BLOCKS` (n, blocks) is larger than a display pixel.
+    """
+    is_known = np.asarray(np.isfinite(place).all(axis=-1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Display pixels per image pixel, [display axis, image axis]: the inverse of the sides, without signs.
+        display_px = np.abs(sides[..., ::-1, ::-1] / area[..., None, None])
+    fits = np.asarray((display_px @ _BLOCKS.T).max(axis=-2) <= 1 + _SLACK)
+
+    def corners(values: FloatArray | BoolArray) -> Any:
+        return np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, :-1], values[1:, 1:]])
+
+    in_use = corners(is_known).any(axis=0)
+    first, last = (corners(np.where(is_known[..., None], place, other)) for other in (np.inf, -np.inf))
+    fails = corners(is_known[..., None] & ~fits).any(axis=0)
+    return first.min(axis=0)[in_use], last.max(axis=0)[in_use], fails[in_use]
+
+
+def _boxes_cover(first: IntArray, last: IntArray, size: tuple[int, int]) -> BoolArray:
+    """Return (rows, columns): which places of a raster (columns, rows) boxes (n, 2) of (column, row) contain."""
+    corners = np.zeros((size[1] + 1, size[0] + 1), dtype=np.int64)
+    (left, top), (right, bottom) = np.clip(first, 0, size).T, np.clip(last + 1, 0, size).T
+    for x, y, sign in ((left, top, 1), (right, top, -1), (left, bottom, -1), (right, bottom, 1)):
+        np.add.at(corners, (y, x), sign)
+    return corners.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +248,7 @@ class EyePlan:
         camera: of the intermediate image.
         raster_position: position of that camera as a function of the viewpoint; None: the viewpoint itself.
         minification: largest minification of that image, see `minification_over_eye_box`.
+        late_margin: tangents by which the head may turn between drawing and scan-out.
     """
 
     eye: str
@@ -202,6 +258,7 @@ class EyePlan:
     camera: Pinhole
     raster_position: RasterPosition | None
     minification: float
+    late_margin: float
 
     @functools.cached_property
     def warp_grid(self) -> ChosenWarpGrid:
@@ -236,7 +293,7 @@ class EyePlan:
         camera = intermediate_camera(channels, axes, resolution, size_px, late_margin)
         minification = minification_over_eye_box(middle, axes, camera, size_px)
         position = RasterPosition(middle, axes) if raster_camera == "nearest" else None
-        return cls(middle.eye, channels, size_px, axes, camera, position, minification)
+        return cls(middle.eye, channels, size_px, axes, camera, position, minification, late_margin)
 
     @property
     def samples_per_axis(self) -> int:
@@ -246,6 +303,40 @@ class EyePlan:
     def samples_of(self, camera: Pinhole) -> int:
         """Return the same of an inset's camera."""
         return samples_for(float(np.max(camera.focal_px / self.camera.focal_px)) * self.minification)
+
+    def shading_rate(self, tile_px: tuple[int, int] = (16, 16)) -> NDArray[np.uint8]:
+        """Return how coarsely the intermediate image may be shaded, for each of its tiles.
+
+        Where the warp minifies the image, a block of its pixels may be shaded as one: the largest that no display pixel
+        is smaller than, at the centre and the corners of the eye box and within `late_margin`. Tiles that no ray meets
+        then have 4 x 4.
+
+        Args:
+            tile_px: (width, height) of a tile, the `shadingRateAttachmentTexelSize` of Vulkan or the
+                `ShadingRateImageTileSize` of Direct3D 12.
+
+        Returns:
+            (rows, columns) uint8, the top row first: 4 log2(width) + log2(height) of a block in pixels, the texels of
+            Vulkan's attachment and the values of D3D12_SHADING_RATE.
+
+        Raises:
+            BadInputError: no size.
+        """
+        tile = np.asarray(tile_px)
+        if tile.shape != (2,) or tile.dtype.kind not in "iu" or tile.min() < 1:
+            raise BadInputError(f"tile_px is {shown(tile_px)}; give (width, height) of a tile in whole pixels.")
+        columns, rows = (-(-np.array(self.camera.size_px) // tile)).tolist()
+        is_too_coarse = np.zeros((len(_BLOCKS), rows, columns), dtype=np.bool_)
+        units = [(0.0, 0.0, 0.0), *itertools.product((-1.0, 1.0), repeat=3)]
+        margin_px = self.late_margin * self.camera.focal_px
+        for mappings in {id(each): each for each in self.channels}.values():  # one model may serve all colours
+            for grid, slope_offset in _maps_of(mappings, self.device_from_camera, units):
+                low, high, fails = _cells_of(*_footprints(slope_offset, grid, self.camera, self.size_px))
+                first, last = ((px // tile).astype(int) for px in (low - margin_px, high + margin_px))
+                for k, failing in enumerate(fails.T[:-1]):
+                    is_too_coarse[k] |= _boxes_cover(first[failing], last[failing], (columns, rows))
+        codes = (np.log2(_BLOCKS) @ [4, 1]).astype(np.uint8)
+        return np.asarray(codes[np.argmin(is_too_coarse, axis=0)])
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """Return the camera pose and intrinsics to draw with for a viewpoint (3,) and a head pose (4, 4)."""

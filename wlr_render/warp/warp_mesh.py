@@ -7,6 +7,7 @@ import typing
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Eye
@@ -105,6 +106,10 @@ class WarpMesh:
         """
         at = self._checked(viewpoint)
         return EyeCamera(self.eye, self._plan.view(at, checked_pose(pose)), at)
+
+    def shading_rate(self, tile_px: tuple[int, int] = (16, 16)) -> NDArray[np.uint8]:
+        """Return how coarsely each tile of the picture may be shaded, (rows, columns): `EyePlan.shading_rate`."""
+        return self._plan.shading_rate(tile_px)
 
     def rays(self, viewpoint: FloatArray) -> Float32Array:
         """World rays of the vertices at a viewpoint (3,): (colours, n, 4) float32.
