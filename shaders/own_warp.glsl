@@ -67,10 +67,10 @@ void main()
 }
 #else
 
-// Projection, row flip and half pixel that the shaders share (docs/conventions.md, "Pixels" and "Rows").
+// Projection and half pixel that the shaders share (docs/conventions.md, "Pixels" and "Rows").
 //
 // Images lie in memory with their top row first, on the GPU as in numpy. OpenGL's first row is its lowest, so the
-// projection turns y over and nothing else has to: window row 0 is the image's top row, and gl_FragCoord.xy is the
+// projection in scene.vert turns y over and nothing else has to: window row 0 is the image's top row, and gl_FragCoord.xy is the
 // pixel, (0, 0) at the outer corner of the top-left pixel, centres at +0.5.
 
 // Where a ray (a, b, c, d), which passes through (c, d, 0) with tangents (a, b) in some camera frame, appears in an image:

@@ -200,6 +200,20 @@ def check(gpu: OpenGl | WebGpu, eye: Eye, mesh: WarpMesh, newest: FloatArray, ro
     assert (is_shown[20:-20, SIZE[0] // 2 + 2 : -20] == 1).all()
 
 
+def exact_paths(eye: Eye, camera: EyeCamera, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions in a picture of the panel's rays at infinity, and how they move per 1/m: (h, w, 2) in pixels each."""
+    pixel = WarpGrid.of_pixels(eye.display.panel, SIZE).panel_pixel()
+    axes, at = camera.view.device_from_camera, eye.eye_box.centre
+    a, b, c, d = np.moveaxis(solve_pixels(eye, axes, pixel, at).slope_offset, -1, 0)
+    forwards = np.stack([a, b, np.full_like(a, -1), 0 * a], axis=-1) @ rows.T
+    start = np.stack([c, d, 0 * a, np.ones_like(a)], axis=-1) @ rows.T
+    at_infinity = forwards[..., :2] / forwards[..., 2:]
+    return at_infinity, start[..., :2] - start[..., 2:] * at_infinity
+
+
+ASIDE = HEAD @ transforms.rigid(np.eye(3), np.array([0.02, 0.0, 0.0]))
+
+
 def check_wire(gpu: OpenGl | WebGpu, eye: Eye, mesh: WarpMesh, wire_m: float) -> None:
     """Check a wire of one pixel that is seen from 20 mm aside: it covers all rays that meet it, and no others."""
     camera, at = mesh.camera(HEAD, eye.eye_box.centre), eye.eye_box.centre
@@ -210,18 +224,11 @@ def check_wire(gpu: OpenGl | WebGpu, eye: Eye, mesh: WarpMesh, wire_m: float) ->
     depth_m[:, column] = wire_m
     codes = np.zeros((height, width, 3), np.uint8)
     codes[:, column] = 255
-    newest = HEAD @ transforms.rigid(np.eye(3), np.array([0.02, 0.0, 0.0]))
-    rows = mesh.image_from_ray(camera, at, newest)
+    rows = mesh.image_from_ray(camera, at, ASIDE)
     depth = (1 - NEAR_M / depth_m).astype(np.float32)
     light = gpu.drawn(Warp(codes, depth, rows, STORED, 1 / NEAR_M, 1), SIZE, mesh, mesh.rays(at)[0])[..., 0]
 
-    pixel = WarpGrid.of_pixels(eye.display.panel, SIZE).panel_pixel()
-    a, b, c, d = np.moveaxis(solve_pixels(eye, camera.view.device_from_camera, pixel, at).slope_offset, -1, 0)
-    # Where the picture has the ray's points at the depths of the wire and of the wall.
-    forwards = np.stack([a, b, np.full_like(a, -1), 0 * a], axis=-1) @ rows.T
-    start = np.stack([c, d, 0 * a, np.ones_like(a)], axis=-1) @ rows.T
-    at_infinity = forwards[..., :2] / forwards[..., 2:]
-    shift = start[..., :2] - start[..., 2:] * at_infinity
+    at_infinity, shift = exact_paths(eye, camera, rows.astype(float))
     on_wall, seen = at_infinity + shift / wall_m, at_infinity + shift / wire_m
     inside = (seen[..., 1] > 1) & (seen[..., 1] < height - 1)
     beside_px = np.abs(seen[..., 0] - column - 0.5)
@@ -251,6 +258,24 @@ def test_a_wire_of_one_pixel_is_whole_from_aside(
     gl_context: GlContext, eye: Eye, mesh: WarpMesh, wire_m: float, version: str
 ) -> None:
     check_wire(OpenGl(gl_context, version), eye, mesh, wire_m)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("reversed_depth", [False, True])
+def test_the_background_is_at_infinity_whatever_the_far_plane(
+    gl_context: GlContext, eye: Eye, mesh: WarpMesh, reversed_depth: bool
+) -> None:
+    stored = StoredDepth(DepthKind.WINDOW, *((5.0, NEAR_M) if reversed_depth else (NEAR_M, 5.0)))
+    camera, at = mesh.camera(HEAD, eye.eye_box.centre), eye.eye_box.centre
+    shape = camera.size_px[::-1]
+    rows = mesh.image_from_ray(camera, at, ASIDE)
+    depth = np.full(shape, stored.nothing, np.float32)
+    warp = Warp(np.zeros((*shape, 3), np.uint8), depth, rows, stored, 1 / NEAR_M, 1)
+    source = OpenGl(gl_context, "420").drawn(warp, SIZE, mesh, mesh.rays(at)[0], only_source=True)
+    expected, _ = exact_paths(eye, camera, rows.astype(float))
+    shown = source[..., 2] == 1
+    assert shown.mean() > 0.9
+    assert np.abs(source[shown, :2] - expected[shown]).max() < 0.02
 
 
 def spirv_of(text: str, stage_name: str, folder: Path) -> Path:

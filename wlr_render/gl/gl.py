@@ -1,7 +1,7 @@
 """OpenGL for drawing modules: opens or adopts contexts, render targets, reads textures, and has ModernGL's names.
 
-Every image on the GPU lies with its top row first, as in numpy, because the projection in `shaders/conventions.glsl`
-is turned over; so reading and writing textures here turns nothing.
+Every image on the GPU lies with its top row first, as in numpy, because the projection in `shaders/scene.vert` is
+turned over; so reading and writing textures here turns nothing.
 """
 
 import contextlib
