@@ -8,11 +8,14 @@ import moderngl
 import numpy as np
 import pytest
 from gl_scenes import OFF_CENTRE as CAMERA
+from warps.composing import HEAD, planar, viewpoint
 
+from benchmarks.submission.gl_calls import GlCalls
 from wlr_render.draw.gl_raster import NEAR_M, GlRaster
 from wlr_render.errors import BadInputError
 from wlr_render.gl.context import GlContext
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.picture_import import PictureImport
 from wlr_render.warp.stored_picture import DepthKind, Rows, StoredDepth
@@ -21,6 +24,7 @@ from wlr_render.warp.view import GeometryImage
 pytestmark = pytest.mark.gl
 
 SIZE = CAMERA.width_px, CAMERA.height_px
+MOVED = HEAD @ gl_scenes.at(0.01, 0.0, 0.0, np.eye(3))
 FAR_M = 9.0
 METRES, INVERSE = StoredDepth(DepthKind.METRES), StoredDepth(DepthKind.INVERSE)
 WINDOW = StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf)
@@ -149,6 +153,29 @@ def test_a_framebuffer_with_any_depth_is_copied(gl_context: GlContext, take: Pic
     theirs = framebuffer(gl_context, depth_format=depth_format)
     assert_halves(take.from_framebuffer(CAMERA, theirs, WINDOW).read())
     assert_halves(take.from_framebuffer(CAMERA, theirs.glo, WINDOW).read())
+
+
+def test_textures_of_a_framebuffer_are_read_in_place(compositor: Callable[..., Compositor]) -> None:
+    calls, shown = GlCalls(), {}
+    with calls.counted():
+        made = compositor(planar(), context="egl")
+        (camera,) = made.begin_frame(HEAD, viewpoint(planar())).values()
+        size = camera.view.camera.size_px
+        with made.context.drawing() as ctx:
+            of_textures = ctx.framebuffer([ctx.texture(size, 4)], ctx.depth_texture(size))
+            of_buffers = ctx.simple_framebuffer(size)
+            for each in (of_textures, of_buffers):
+                each.clear(0.2, 0.4, 0.6, 1.0, depth=0.5)
+                each.clear(0.6, 0.2, 0.4, 1.0, depth=0.25, viewport=(0, 0, size[0], size[1] // 2))
+        for theirs, copies in ((of_textures, 0), (of_buffers, 2)):
+            made.begin_frame(HEAD, viewpoint(planar()))
+            calls.start()
+            made.submit(theirs, stored=WINDOW)
+            assert calls.found().get("glBlitFramebuffer", 0) == copies
+            shown[copies] = made.compose(pose=MOVED).read()
+        made.release()
+    np.testing.assert_array_equal(shown[0], shown[2])
+    assert len(np.unique(shown[0].reshape(-1, 3), axis=0)) > 1
 
 
 def test_a_framebuffer_of_several_samples_is_resolved(gl_context: GlContext, take: PictureImport) -> None:

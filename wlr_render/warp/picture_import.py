@@ -198,8 +198,9 @@ class PictureImport:
     ) -> GpuImage:
         """Return a picture in a framebuffer object of the image's context, ModernGL's or by its OpenGL number.
 
-        It is copied, on the GPU. Of several samples per pixel colours are averaged. Of their depths OpenGL takes one,
-        usually sample 0, which lies up to half a pixel from the centre.
+        ModernGL's textures in ModernGL's framebuffers are read as they are; others are copied on the GPU. Of several
+        samples per pixel colours are averaged; of their depths OpenGL takes one, usually sample 0, which lies up to
+        half a pixel from the centre.
 
         Raises:
             BadInputError: a framebuffer of another context or size, or whose colour or depth is missing or of a kind
@@ -208,7 +209,12 @@ class PictureImport:
         if not is_number(framebuffer):
             _check_context(self._context, "framebuffer", framebuffer)
         with self._context.drawing():
-            given = _Given(self._copy.copy_framebuffer(framebuffer, camera.size_px, stored))
+            textures = _attached_textures(framebuffer, camera.size_px)
+            if textures is not None:
+                check_depth_format(stored)
+                given = _Given(textures, is_callers=True)
+            else:
+                given = _Given(self._copy.copy_framebuffer(framebuffer, camera.size_px, stored))
             return self._take(camera, given, stored, rows, stored_colour, wider)
 
     def inset_program(self) -> gl.VertexArray:
@@ -292,6 +298,20 @@ class _Given:
 
     textures: Sequence[gl.Texture]
     is_callers: bool = False
+
+
+def _attached_textures(framebuffer: gl.Framebuffer | int, size: tuple[int, int]) -> list[gl.Texture] | None:
+    """Return colour and depth of a ModernGL framebuffer if both are textures that can be read as they are."""
+    if not isinstance(framebuffer, gl.Framebuffer):
+        return None
+    attached = [*(framebuffer.color_attachments or ())[:1], framebuffer.depth_attachment]
+    textures = [each for each in attached if isinstance(each, gl.Texture) and not gl.is_released(each)]
+    if len(textures) < 2 or any(each.samples or each.size != size for each in textures):
+        return None
+    colour, depth = textures
+    # Whole numbers of 16 bits may be RGB10_A2, which only the copy asks for.
+    is_read = colour.dtype in ("f1", "f2", "f4") and colour.components >= 3 and depth.depth
+    return textures if is_read else None
 
 
 def is_texture(value: Any) -> bool:
