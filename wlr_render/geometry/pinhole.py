@@ -1,10 +1,11 @@
 """The pinhole camera of the device frame: looks along -z, y up; pixels (0, 0) at the outer corner, v down."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
+from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray, read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,29 +38,30 @@ class Pinhole:
         """(width, height)."""
         return self.width_px, self.height_px
 
-    @property
+    @cached_property
     def focal_px(self) -> FloatArray:
         """(2,) pixels per unit tangent in u and v, both positive."""
         size = np.array([self.width_px, self.height_px])
-        return np.asarray(size / (self.tangent_max - self.tangent_min))
+        return read_only(size / (self.tangent_max - self.tangent_min))
 
-    @property
+    @cached_property
     def centre_px(self) -> FloatArray:
         """(2,) principal point (tangents 0, 0), in pixels; may lie outside the image."""
         focal = self.focal_px
-        return np.array([-self.tangent_min[0] * focal[0], self.tangent_max[1] * focal[1]])
+        return read_only(np.array([-self.tangent_min[0] * focal[0], self.tangent_max[1] * focal[1]]))
 
-    @property
+    @cached_property
     def image_from_camera(self) -> FloatArray:
         """(3, 4): a point (x, y, z, 1) of the camera frame -> (u depth, v depth, depth), in pixels and metres."""
         (focal_u, focal_v), (centre_u, centre_v) = self.focal_px, self.centre_px
-        return np.array([[focal_u, 0, -centre_u, 0], [0, -focal_v, -centre_v, 0], [0, 0, -1, 0]])
+        return read_only(np.array([[focal_u, 0, -centre_u, 0], [0, -focal_v, -centre_v, 0], [0, 0, -1, 0]]))
 
-    @property
+    @cached_property
     def camera_from_image(self) -> FloatArray:
         """(3, 3): (u, v, 1) of a pixel -> its direction in the camera frame, scaled to z = -1."""
         (focal_u, focal_v), (centre_u, centre_v) = self.focal_px, self.centre_px
-        return np.array([[1 / focal_u, 0, -centre_u / focal_u], [0, -1 / focal_v, centre_v / focal_v], [0, 0, -1]])
+        rows = [[1 / focal_u, 0, -centre_u / focal_u], [0, -1 / focal_v, centre_v / focal_v], [0, 0, -1]]
+        return read_only(np.array(rows))
 
     def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
         """Return the pixels (..., 2) of tangents (..., 2); v runs down, ty up."""

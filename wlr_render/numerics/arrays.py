@@ -14,6 +14,12 @@ BoolArray = NDArray[np.bool_]
 _SHOWN_VALUES = 4  # most values that an error prints; it describes longer arrays by shape and type
 
 
+def read_only(array: FloatArray) -> FloatArray:
+    """Make an array read-only, which is computed once and shared, and return it."""
+    array.flags.writeable = False
+    return array
+
+
 def rows_by_label(labels: IntArray) -> tuple[IntArray, list[IntArray]]:
     """Return the distinct labels of rows (n,), ascending, and the rows that have each label."""
     order = np.argsort(labels, kind="stable")

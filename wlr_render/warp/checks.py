@@ -27,6 +27,7 @@ inside may be extrapolated a little; farther out their values are meaningless.
 FARTHEST_M = 1e8
 """Distance of a head from the world's origin: float64 resolves 15 nm there, and Earth-centred frames fit in."""
 _ROTATION_SLACK = 1e-4
+_IDENTITY = np.eye(3)
 _ROUNDING = _ROUNDING_M = 1e-9
 
 
@@ -236,20 +237,21 @@ def checked_pose(pose: object, what: str = "the pose") -> FloatArray:
     name, until = "world_from_device", ", and the last good one while the head is not tracked"
     if what.endswith("_quad"):
         name, until = what, ""
-    given = np.asarray(pose) if isinstance(pose, np.ndarray) else None
-    if given is not None and given.shape == (4, 4) and given.dtype.kind == "f" and not np.isfinite(given).all():
-        row, column = np.argwhere(~np.isfinite(given))[0]
-        raise BadInputError(
-            f"{what} has {given[row, column]} in row {row}, column {column}; give finite numbers{until}."
-        )
-    matrix = finite_array(pose, (4, 4), what, f"{name} as a 4 x 4 matrix of finite numbers{until}")
+    try:
+        matrix = finite_array(pose, (4, 4), what, f"{name} as a 4 x 4 matrix of finite numbers{until}")
+    except BadInputError:
+        if isinstance(pose, np.ndarray) and pose.shape == (4, 4) and pose.dtype.kind == "f":
+            row, column = np.argwhere(~np.isfinite(pose))[0]
+            found = f"{what} has {pose[row, column]} in row {row}, column {column}"
+            raise BadInputError(f"{found}; give finite numbers{until}.") from None
+        raise
     if np.abs(matrix[:3, 3]).max() > FARTHEST_M:
         raise BadInputError(
             f"{what} lies at {matrix[:3, 3].tolist()}; give metres, {FARTHEST_M:g} at most from the world's origin."
         )
     rotation = matrix[:3, :3]
-    gram, is_affine = rotation @ rotation.T, np.array_equal(matrix[3], [0, 0, 0, 1])
-    askew, scale = float(np.abs(gram - np.eye(3)).max()), float(np.sqrt(np.trace(gram) / 3))
+    gram, is_affine = rotation @ rotation.T, matrix[3].tolist() == [0, 0, 0, 1]
+    askew, scale = float(np.abs(gram - _IDENTITY).max()), float(np.sqrt(gram.trace() / 3))
     is_mirror = np.linalg.det(rotation) < 0
     if askew <= _ROTATION_SLACK and not is_mirror and is_affine:
         if askew > _ROUNDING:

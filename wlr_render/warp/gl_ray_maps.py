@@ -113,6 +113,7 @@ class GlPlanarSolver:
             self._target = gl.RenderTargets(context).get("rays", warp_grid.size, (4, "f4"), (1, "u1"))
             self._texture = context.target((terms.shape[2] * terms.shape[3], 3 * warp_grid.rows), 4, "f4")
             self._texture.write(terms)
+        self._inputs_of_eye = self._fixed_inputs()
 
     def _terms(self) -> Float32Array:
         """Return coefficients of t, A and B at each point: (rows, 3, columns, texels of two terms each, 4)."""
@@ -149,19 +150,21 @@ class GlPlanarSolver:
         slope_offset, status = self._target.textures
         return GpuRayMap(self._warp_grid, slope_offset, self._context, viewpoint, self._device_from_camera, status)
 
-    def _inputs(self, viewpoint: FloatArray) -> FloatArray:
-        """Return the rows (11, 4) of the shader's `inputs_of_eye`."""
+    def _fixed_inputs(self) -> FloatArray:
+        """Return the rows (11, 4) of the shader's `inputs_of_eye`, without the viewpoint's: 6 and 7."""
         display, see_through, grid = self._display, self._see_through, self._warp_grid
-        inside = all(each.eye_box.contains(viewpoint, EYE_BOX_MARGIN) for each in (display, see_through))
         boxes = [model.modelled.box for model in (display, see_through)]
-        heights = [model.place.height_of(viewpoint) for model in (display, see_through)]
         rows = np.zeros((11, 4))
         rows[:4] = [row for box in boxes for row in (0.5 * (box.low + box.high), box.per_unit)]
         rows[4] = *grid.first_px, *grid.step_px
         rows[5] = *display.place.slope, *see_through.place.slope
-        rows[6] = *viewpoint, float(inside)
-        rows[7, :2] = heights
         rows[8:, :3] = self._device_from_camera.T
+        return rows
+
+    def _inputs(self, viewpoint: FloatArray) -> FloatArray:
+        models, rows = (self._display, self._see_through), self._inputs_of_eye
+        rows[6, :3], rows[6, 3] = viewpoint, all(each.eye_box.contains(viewpoint, EYE_BOX_MARGIN) for each in models)
+        rows[7, :2] = [model.place.height_of(viewpoint) for model in models]
         return rows
 
 

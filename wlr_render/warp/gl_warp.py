@@ -221,8 +221,9 @@ class GlWarp:
             backdrop_cells = self._backdrop_cells.draw(*drawn, is_inset=False, inset=None)
         light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
         for k, (picture, front) in enumerate(zip(pictures, cells, strict=True)):
-            widest_from_inset = pixels_from(picture.image.camera, pictures[0].image.camera)
-            uniforms = {"background": light, "is_inset": k > 0, "widest_from_inset": widest_from_inset}
+            uniforms = {"background": light, "is_inset": k > 0}
+            if k > 0:
+                uniforms["widest_from_inset"] = pixels_from(picture.image.camera, pictures[0].image.camera)
             for program, run in self._runs(target, ray_maps[0].warp_grid, bool(overlays)):
                 self._set(program, picture, front, overlays or None, uniforms)
                 run()

@@ -22,7 +22,7 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.io.input_files import shown
 from wlr_render.mappings import Eye, EyeChannels, middle_channel
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
+from wlr_render.numerics.polynomial import Box
 from wlr_render.warp.choose_grid import ChosenWarpGrid, choose_warp_grid
 from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.ray_map import RayMapPlan, choose_plan, middle_axes, required_tangents, solve_pixels
@@ -67,7 +67,7 @@ def intermediate_camera(
 
 
 _GRID = 7
-_DEGREE = 2
+_PAIRS = np.triu_indices(4)
 
 
 def nearest_point_to_rays(slope_offset: FloatArray) -> FloatArray:
@@ -94,7 +94,7 @@ def nearest_point_to_rays(slope_offset: FloatArray) -> FloatArray:
 
 
 class RasterPosition:
-    """Position of the raster camera as a function of the viewpoint: a polynomial fitted over the eye box."""
+    """Position of the raster camera as a function of the viewpoint: a quadratic polynomial fitted over the eye box."""
 
     def __init__(self, mappings: Eye, device_from_camera: FloatArray) -> None:
         """Fit; best for a camera with these axes (3, 3), across whose viewing axis offsets are measured."""
@@ -109,16 +109,20 @@ class RasterPosition:
             for each in viewpoints
         ]
         shift = transforms.rotate(device_from_camera, np.array(shift_in_camera))
-        orders = total_degree(3, _DEGREE)
-        coefficients, *_ = np.linalg.lstsq(basis(viewpoints, orders, self._box), shift)
-        self._shift = Polynomial(orders, self._box, coefficients.astype(np.float64))
+        self._coefficients, *_ = np.linalg.lstsq(self._terms(viewpoints), shift)
 
     def at(self, viewpoint: FloatArray) -> FloatArray:
         """Camera positions (..., 3) for viewpoints (..., 3), both in the device frame.
 
         Outside the eye box the shift of the box's nearest point applies, so that it neither jumps nor grows.
         """
-        return np.asarray(viewpoint + self._shift(np.clip(viewpoint, self._box.low, self._box.high)))
+        return np.asarray(viewpoint + self._terms(viewpoint) @ self._coefficients)
+
+    def _terms(self, viewpoint: FloatArray) -> FloatArray:
+        """Return the products of every two of 1 and the scaled coordinates, (..., 10)."""
+        scaled = self._box.scaled(viewpoint).clip(-1, 1)
+        factors = np.concatenate([np.ones_like(scaled[..., :1]), scaled], axis=-1)
+        return np.asarray((factors[..., :, None] * factors[..., None, :])[..., *_PAIRS])
 
 
 def ray_map_plans(channels: Sequence[Eye], device_from_camera: FloatArray) -> tuple[RayMapPlan, ...]:
@@ -295,7 +299,7 @@ class EyePlan:
         position = RasterPosition(middle, axes) if raster_camera == "nearest" else None
         return cls(middle.eye, channels, size_px, axes, camera, position, minification, late_margin)
 
-    @property
+    @functools.cached_property
     def samples_per_axis(self) -> int:
         """Samples per display pixel and axis that the filter takes."""
         return self.samples_of(self.camera)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.io.atomic_files import write_text
+from wlr_render.numerics.arrays import read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,19 +33,13 @@ class View:
     @functools.cached_property
     def position_in_world(self) -> NDArray[np.float64]:
         """(3,) metres; read-only."""
-        return _read_only(transforms.apply(self.world_from_device, self.position_in_device))
+        return read_only(transforms.apply(self.world_from_device, self.position_in_device))
 
     @functools.cached_property
     def world_from_camera(self) -> NDArray[np.float64]:
         """(4, 4), read-only; the camera frame's origin is the position."""
         turned = self.world_from_device[:3, :3] @ self.device_from_camera
-        return _read_only(transforms.rigid(turned, self.position_in_world))
-
-
-def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Make an array read-only: it is computed once and shared."""
-    array.flags.writeable = False
-    return array
+        return read_only(transforms.rigid(turned, self.position_in_world))
 
 
 def image_from_ray_map(
