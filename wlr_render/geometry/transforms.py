@@ -61,10 +61,12 @@ def rotation_about(axis: str, angle: float) -> FloatArray:
 
 def cross_matrix(vector: FloatArray) -> FloatArray:
     """Return the matrices (..., 3, 3) that take w to vector x w, of vectors (..., 3)."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    vector = np.asarray(vector)
+    matrix = np.zeros((*vector.shape, 3))
+    for row, column, of in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
+        matrix[..., row, column] = vector[..., of]
+        matrix[..., column, row] = -vector[..., of]
+    return matrix
 
 
 def rotations_of_vectors(vector: FloatArray) -> FloatArray:

@@ -5,7 +5,7 @@ CVPR 2020. Models of few terms differ from real lenses by a systematic part of a
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 
@@ -77,11 +77,10 @@ class ResidualLens:
         count = len(self.model.values)
         return replace(self, model=self.model.with_values(values[:count]), residual_px=values[count:].reshape(-1, 2))
 
-    @cached_property
+    @property
     def field(self) -> SmoothField:
         """The field over the picture."""
-        width, height = self.size_px
-        return SmoothField((0.0, 0.0), (float(width), float(height)), self.counts, _FALL)
+        return _field(self.size_px, self.counts)
 
     @property
     def rms_px(self) -> float:
@@ -94,7 +93,8 @@ class ResidualLens:
         plain = self.model.project(point_in_camera)
         waves = self.field.waves(plain.pixel)
         stretch = np.eye(2) + self._slope(plain.pixel)
-        by_residual = np.kron(waves, np.eye(2)).reshape(len(waves), 2, self.residual_px.size)
+        by_residual = np.zeros((len(waves), 2, self.residual_px.size))
+        by_residual[:, 0, ::2] = by_residual[:, 1, 1::2] = waves
         return Projection(
             plain.pixel + waves @ self.residual_px,
             stretch @ plain.by_point,
@@ -132,7 +132,13 @@ class ResidualLens:
         """(n, 2, 2) derivative of the displacement by the model's pixels (n, 2)."""
         if not np.any(self.residual_px):
             return np.zeros((len(pixel), 2, 2))
-        steps = _STEP_PX * np.eye(2)
-        return np.stack([self._displacement(pixel + s) - self._displacement(pixel - s) for s in steps], -1) / (
-            2.0 * _STEP_PX
-        )
+        steps = _STEP_PX * np.eye(2)[:, None]
+        after, before = self._displacement(pixel + np.stack([steps, -steps]))
+        return np.asarray(np.moveaxis(after - before, 0, -1) / (2.0 * _STEP_PX))
+
+
+@lru_cache
+def _field(size_px: tuple[int, int], counts: tuple[int, int]) -> SmoothField:
+    """Return the field of lenses of one size, of which a fit makes many."""
+    width, height = size_px
+    return SmoothField((0.0, 0.0), (float(width), float(height)), counts, _FALL)

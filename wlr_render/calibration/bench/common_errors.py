@@ -113,16 +113,16 @@ def _lens_change(bench: CalibratedBench, factor: FloatArray) -> Polynomial | Non
         return None
     side = (np.arange(_LENS_GRID) + 0.5) / _LENS_GRID
     pixel = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2) * lens.size_px
-    tangents = lens.tangents_of_pixel(pixel) * [1.0, -1.0]  # OpenXR axes
-    change = np.zeros((len(pixel), 2, factor.shape[1]))
-    by_variable = factor[bench.adjustment.layout.where["lens", EYEBALL]]
-    for k in np.flatnonzero(np.any(by_variable, axis=0)):
-        more, less = (lens.with_values(lens.values + sign * by_variable[:, k]) for sign in (1.0, -1.0))
-        change[:, :, k] = 0.5 * (more.tangents_of_pixel(pixel) - less.tangents_of_pixel(pixel)) * [1.0, -1.0]
-    good = np.isfinite(tangents).all(axis=1) & np.isfinite(change).all(axis=(1, 2))
-    orders, box = total_degree(2, _LENS_DEGREE), Box.around(tangents[good])
-    design = basis(tangents[good], orders, box)
-    found = np.linalg.lstsq(design, change[good].reshape(len(design), -1))[0]
+    tangents = lens.tangents_of_pixel(pixel)
+    tangents = tangents[np.isfinite(tangents).all(axis=1)]
+    seen = lens.project(np.column_stack([tangents, np.ones(len(tangents))]))
+    # Where a pixel stays, its tangents undo what the values change.
+    by_variable = seen.by_values @ factor[bench.adjustment.layout.where["lens", EYEBALL]]
+    change = -np.linalg.solve(seen.by_point[:, :, :2], by_variable)
+    good, openxr = np.isfinite(change).all(axis=(1, 2)), np.array([1.0, -1.0])
+    tangents, change = tangents[good] * openxr, change[good] * openxr[:, None]
+    orders, box = total_degree(2, _LENS_DEGREE), Box.around(tangents)
+    found = np.linalg.lstsq(basis(tangents, orders, box), change.reshape(len(tangents), -1))[0]
     return Polynomial(orders, box, np.asarray(found, np.float64))
 
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from wlr_render.calibration.bench.bench_blocks import Key, Layout, Sizes
 from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
@@ -27,13 +26,15 @@ class ViewResiduals:
 
     Attributes:
         residual: (n, 2) seen minus predicted; NaN where the lens cannot see the point.
-        by_place: (n, 2, 3) by the feature's place on the board, which the board's shape moves.
+        moved: (n, 3) how far the board's shape moves the features from their places in the board's file.
+        by_place: (n, 2, 3) by the feature's place on the board.
         columns: (n, 2, k) by further blocks of unknowns.
         by_motion: (n, 2, 6) by a small motion of camera_from_board, camera frame.
         motion: (6, k) that motion by further blocks.
     """
 
     residual: FloatArray
+    moved: FloatArray
     by_place: FloatArray
     columns: Mapping[Key, FloatArray]
     by_motion: FloatArray
@@ -43,7 +44,8 @@ class ViewResiduals:
 def residuals_of(state: BenchState, view: BoardView) -> ViewResiduals:
     """Return the residuals of a view and their derivatives."""
     shape, camera_from_board, lens = state.shape[view.board], state.camera_from_board(view), state.lens_of(view)
-    point = transforms.apply(camera_from_board, shape.point_of(view.feature, view.point))
+    place = shape.point_of(view.feature, view.point)
+    point = transforms.apply(camera_from_board, place)
     seen = lens.project(point)
     turned = seen.by_point @ camera_from_board[:3, :3]
     columns: dict[Key, FloatArray] = {("lens", view.camera): seen.by_values}
@@ -54,7 +56,8 @@ def residuals_of(state: BenchState, view: BoardView) -> ViewResiduals:
         columns["stretch", view.name] = stretch_terms(view.pixel, lens.size_px)
         predicted = predicted + columns["stretch", view.name] @ stretch
     by_motion = np.concatenate([seen.by_point @ -transforms.cross_matrix(point), seen.by_point], axis=-1)
-    return ViewResiduals(view.pixel - predicted, turned, columns, by_motion, state.board_motion(view))
+    motion = state.board_motion(view, camera_from_board)
+    return ViewResiduals(view.pixel - predicted, place - view.point, turned, columns, by_motion, motion)
 
 
 Extra = Mapping[Key, Mapping[str, FloatArray]]
@@ -106,9 +109,10 @@ class Normal:
             flat, count = local.reshape(-1, local.shape[-1]), len(direct)
             value = np.where(weight[:, None] > 0, part.residual, 0.0) * weight[:, None]
             value += local[..., :count] @ before[direct] + local[..., count:] @ (carry @ before[moved])
-            value += np.einsum("nij,nj->ni", by_place, shape.point_of(view.feature, view.point) - view.point)
+            value += np.einsum("nij,nj->ni", by_place, part.moved)
             self.square += float(np.sum(value**2))
-            half = (flat.T @ flat) @ block_diag(np.eye(count), carry)
+            products = flat.T @ flat
+            half = np.concatenate([products[:, :count], products[:, count:] @ carry], axis=1)
             gram = np.concatenate([half[:count], carry.T @ half[count:]])
             self.gram[np.ix_(columns, columns)] += gram
             self.informed[view.camera][columns] += np.diag(gram)

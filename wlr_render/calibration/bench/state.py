@@ -269,11 +269,11 @@ class BenchState:
         errors = {("offset", place): np.eye(6)} | self.screws(each.reading)
         return {key: mounted @ columns for key, columns in errors.items()}
 
-    def board_motion(self, view: BoardView) -> dict[Key, FloatArray]:
-        """(6, k) by block of unknowns: small motion in the camera's frame of camera_from_board in a view."""
+    def board_motion(self, view: BoardView, camera_from_board: FloatArray) -> dict[Key, FloatArray]:
+        """(6, k) by block of unknowns: small motion in the camera's frame of camera_from_board (4, 4) in a view."""
         if view.target is None:
             return {("board pose", view.name): np.eye(6)}
-        motion: dict[Key, FloatArray] = {("target", view.target): adjoint(self.camera_from_board(view))}
+        motion: dict[Key, FloatArray] = {("target", view.target): adjoint(camera_from_board)}
         if view.camera == TRACKING:
             return motion | {("extrinsics", TRACKING): -np.eye(6)}
         assert view.place is not None
