@@ -58,8 +58,9 @@ def test_without_trackers_the_model_owns_the_error(model_file: str, tmp_path: Pa
 @pytest.mark.usefixtures("known_warp_grid")
 @pytest.mark.parametrize("source", [*SOURCES, *REMEDIES])
 def test_the_advice_says_of_each_source_of_a_calibration_what_to_do(
-    model_file: str, tmp_path: Path, source: str
+    model_file: str, tmp_path: Path, source: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("wlr_render.budget.eye_budget.PANEL_CELLS", 6)
     model = load_eye_model(model_file)
     path = tmp_path / "model.json"
     save_eye_models(path, [replace(model, mappings=with_source(model.mappings, source))])
