@@ -3,7 +3,8 @@
 // or WebGL. A `WarpMesh` of wlr_render/warp/warp_mesh.py gives vertices, indices and `image_from_ray`.
 //
 // Compile it for four stages, each with one of these in front, after "#version 450" (Vulkan, SPIR-V), "420" (OpenGL), "310
-// es" or "300 es": "#define TILES_VERTEX_STAGE", "TILES_FRAGMENT_STAGE", "VERTEX_STAGE", "FRAGMENT_STAGE".
+// es" or "300 es": "#define TILES_VERTEX_STAGE", "TILES_FRAGMENT_STAGE", "VERTEX_STAGE", "FRAGMENT_STAGE". For GLSL in
+// WebGPU define VULKAN and NO_GATHER, too.
 // 1. Once a picture: draw 3 vertices to an RG32F target of ceil(width / 8) x ceil(height / 8), the tiles.
 // 2. Once a frame: draw the mesh's triangles to a target of an sRGB format, with no culling and no depth test; in OpenGL
 //    with GL_FRAMEBUFFER_SRGB. With three colours draw three times, each with its own rays and a write mask.

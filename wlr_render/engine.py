@@ -13,6 +13,10 @@ if TYPE_CHECKING:  # imports in the order of the API reference
     from wlr_render.warp.composed_frame import ComposedFrame as ComposedFrame
     from wlr_render.warp.eye_camera import EyeCamera as EyeCamera
     from wlr_render.warp.frame_handle import FrameHandle as FrameHandle
+    from wlr_render.warp.gpu_image import GpuImage as GpuImage
+    from wlr_render.warp.warp import WarpStatus as WarpStatus
+    from wlr_render.gl.host_checks import GlError as GlError, PendingGlErrorWarning as PendingGlErrorWarning
+    from wlr_render.errors import MissingGlError as MissingGlError
     from wlr_render.warp.stored_picture import DepthKind as DepthKind, Rows as Rows, StoredColour as StoredColour
     from wlr_render.gl.framebuffers import TextureLayer as TextureLayer
     from wlr_render.warp.panel_light import PanelLight as PanelLight

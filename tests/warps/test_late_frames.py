@@ -204,14 +204,16 @@ def test_a_compositor_that_is_not_released_warns(flat_image_headset: Eye, caller
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize(("channels", "hidden_areas"), [(1, "repeated"), (3, "last picture")])
 def test_prepared_compositors_compile_nothing_later(
-    compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, channels: int
+    compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, channels: int, hidden_areas: str
 ) -> None:
-    made = compositor({"right": [planar()] * channels}, context="egl")
+    made = compositor({"right": [planar()] * channels}, context="egl", hidden_areas=hidden_areas)
     made.prepare()
-    source = SceneSource(made, scene())
-    draw(made, source, HEAD, viewpoint(planar()))
+    raster = SceneRaster(made.context, scene())
+    for pose in (MOVED, HEAD):
+        frame = made.begin_frame(pose, viewpoint(planar()))
+        made.submit(raster.draw_on_gpu(frame["right"].view, str(frame.number)))
     with made.context.drawing() as ctx:
         target = ctx.simple_framebuffer(SMALL)
     compiled = programs_compiled(monkeypatch)

@@ -116,6 +116,18 @@ def test_what_lies_outside_a_depth_range_is_background(gl_context: GlContext, ta
         colour, depth = ctx.texture(SIZE, 4), ctx.texture(SIZE, 1, np.tile(row, (SIZE[1], 1)), dtype="f4")
     taken = take.from_textures(CAMERA, colour, depth, stored).read().inverse_depth[0, :7]
     np.testing.assert_allclose(taken, [0, 0, 1, 5 / 9, 0, 0, 0], rtol=1e-6)
+    picture = np.zeros((*SIZE[::-1], 3), np.uint8), np.tile(row, (SIZE[1], 1))
+    taken = take.from_arrays(CAMERA, *picture, stored).read().inverse_depth[0, :7]
+    np.testing.assert_allclose(taken, [0, 0, 1, 5 / 9, 0, 0, 0], rtol=1e-6)
+
+
+def test_depths_at_the_ends_of_a_range_may_be_rounded(take: PictureImport) -> None:
+    stored = StoredDepth(DepthKind.WINDOW, 1.0, np.inf, min_depth=0.25, max_depth=0.3)
+    depth = np.full(SIZE[::-1], 0.25 - 3e-8, np.float32)
+    depth[0, 0] = np.float32(0.3) + np.float32(3e-8)
+    taken = take.from_arrays(CAMERA, np.zeros((*SIZE[::-1], 3), np.uint8), depth, stored).read().inverse_depth
+    assert taken[0, 0] == 0
+    np.testing.assert_allclose(taken.ravel()[1:], 1.0, rtol=1e-5)
 
 
 def framebuffer(

@@ -7,7 +7,7 @@ read buffer, draw buffers and attachments of the caller's framebuffers stay unto
 import ctypes
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from numbers import Integral
 from typing import Any, Generic, TypeVar
@@ -56,7 +56,7 @@ class TextureLayer:
     texture: Any
     layer: int = 0
     level: int = 0
-    rect_px: tuple[int, int, int, int] | None = None
+    rect_px: Sequence[int] | None = None
 
     def __post_init__(self) -> None:
         if not is_number(self.texture) and not isinstance(self.texture, gl.Texture | gl.TextureArray):
@@ -68,9 +68,9 @@ class TextureLayer:
             if not is_number(value) or not 0 <= value < 1 << 31:
                 raise BadInputError(f"{name} is {value!r}; give a whole number from 0.")
         rect: Any = (0, 0, 1, 1) if self.rect_px is None else self.rect_px
-        is_rect = isinstance(rect, tuple) and len(rect) == 4 and all(map(is_number, rect))
+        is_rect = isinstance(rect, tuple | list) and len(rect) == 4 and all(map(is_number, rect))
         if not is_rect or min(rect[:2]) < 0 or min(rect[2:]) < 1:
-            raise BadInputError(f"rect_px is {rect!r}; give (x, y, width, height) in whole pixels.")
+            raise BadInputError(f"rect_px is {rect!r}; give (x, y, width, height), four whole numbers.")
 
     def rect_in(self, size_px: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
         """Return the first pixel (x, y) and the size (width, height) of the picture in a level of a size.

@@ -204,7 +204,7 @@ def adopt_context(context: moderngl.Context | None = None, host_is_clean: bool =
         current = CurrentContext()
     except NoCurrentContextError as error:
         raise MissingGlError(
-            f"{error}: make yours current before adopting it, or let open_context() open one."
+            f"{error}: make yours current before adopting it, or open one with context='egl'."
         ) from error
     _check_version(current.version())
     state = GlState(current)
@@ -224,7 +224,7 @@ def _check_version(found: tuple[int, int]) -> None:
     if found < _VERSION:
         raise MissingGlError(
             f"The OpenGL context has version {found[0]}.{found[1]}, the renderer needs 4.1: ask for a 4.1 core profile "
-            "when it is made (moderngl.create_context(require=410)), or let open_context() open one."
+            "when it is made (moderngl.create_context(require=410)), or open one with context='egl'."
         )
 
 

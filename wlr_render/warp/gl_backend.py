@@ -189,7 +189,8 @@ class GlEye:
             ([picture], [picture, WarpedPicture(image, 2)])[: 1 + insets],
             ([], [overlay])[: 1 + bool(overlays)],
         ):
-            self._composed(pictures, at, np.eye(4), target, False, over)
+            backdrop = Backdrop(picture, np.eye(4), over) if self._keeps_last_picture else None
+            self._composed(pictures, at, np.eye(4), target, False, over, backdrop)
         self.generation += 1
 
     def _composed(

@@ -141,7 +141,7 @@ class PictureCopy:
         for image, found, _ in parts:
             if found != size:
                 raise BadInputError(
-                    f"The {what.format(name=image.name)} has {found[0]}x{found[1]} pixels, the camera "
+                    f"The picture in the {what.format(name=image.name)} has {found[0]}x{found[1]} pixels, the camera "
                     f"{size[0]}x{size[1]}: draw with that camera."
                 )
         sources = [each.source for each in old] if old else [fresh_framebuffer(self._context) for _ in parts]

@@ -63,6 +63,8 @@ class DepthKind(Enum):
     """1/m; 0, infinity or NaN for background."""
 
 
+_DEPTH_STEP = 2.0**-16  # of the coarsest depth format, which rounds the ends of a range
+
 NEAREST_M = 1e-4
 """Nearest depth that a picture may hold: no near plane lies nearer. The warp divides by depths in float32."""
 
@@ -133,7 +135,7 @@ class StoredDepth:
         largest = np.finfo(np.float32).max
         ends: dict[DepthKind, tuple[float, float]] = {
             DepthKind.METRES: (NEAREST_M, float(largest)),
-            DepthKind.WINDOW: (self.min_depth, self.max_depth),
+            DepthKind.WINDOW: (max(0.0, self.min_depth - _DEPTH_STEP), min(1.0, self.max_depth + _DEPTH_STEP)),
             DepthKind.INVERSE: (0.0, 1 / NEAREST_M),
         }
         low, high = ends[self.kind]
@@ -232,7 +234,7 @@ def check_arrays(
             )
     if depth is None:
         return
-    low, high = stored.limits
+    low, high = (np.float32(0), np.float32(1)) if stored.kind is DepthKind.WINDOW else stored.limits
     outside = depth < low  # NaN is not
     if stored.kind is not DepthKind.METRES:
         outside |= depth > high

@@ -138,7 +138,8 @@ class TargetFramebuffers:
 
 
 def _first_px(into: Any) -> tuple[int, int]:
-    return into.rect_px[:2] if isinstance(into, TextureLayer) and into.rect_px else (0, 0)
+    rect_px = into.rect_px if isinstance(into, TextureLayer) else None
+    return (rect_px[0], rect_px[1]) if rect_px else (0, 0)
 
 
 def _identity(into: Any) -> object:

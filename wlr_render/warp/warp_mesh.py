@@ -116,7 +116,8 @@ class WarpMesh:
 
         A ray is (a, b, c, d), as in `RayMap.slope_offset`: it passes through (c, d, 0) with tangents (a, b), in metres,
         in axes at the viewpoint that `image_from_ray` knows. One colour, or red, green and blue. NaN where a vertex has
-        no ray: its triangles show the background. Takes milliseconds.
+        no ray: its triangles show the background. Takes milliseconds for some thousand vertices, and 60 to 80 ms for
+        100,000: `tolerance_arcmin` decides.
 
         Raises:
             BadInputError: an invalid viewpoint, or one far outside the eye box.
