@@ -4,7 +4,7 @@ The errors of a board's features are eliminated, since no two of them meet (B. T
 modern synthesis" (2000), section 6). Huber weights hold off outliers.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from wlr_render.calibration.bench.bench_blocks import Key, Layout, Sizes
 from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.calibration.bench.state import BenchState, stretch_terms
 from wlr_render.geometry import transforms
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.evidence import Sums
 
 _HUBER = 3.0  # sigmas from which a residual loses weight: 0.3 % of normal noise, which costs nothing
@@ -60,6 +60,15 @@ def residuals_of(state: BenchState, view: BoardView) -> ViewResiduals:
     return ViewResiduals(view.pixel - predicted, place - view.point, turned, columns, by_motion, motion)
 
 
+def _add_blocks(sums: FloatArray, rows: IntArray, blocks: Sequence[slice], values: FloatArray) -> None:
+    """Add values (rows, columns of the blocks, 3) to `sums` (features, unknowns, 3): slices are faster than numbers."""
+    start = 0
+    for where in blocks:
+        stop = start + where.stop - where.start
+        sums[rows, where] += values[:, start:stop]
+        start = stop
+
+
 Extra = Mapping[Key, Mapping[str, FloatArray]]
 """Further unknowns: by the name of a view, (6, k) motion of the board in its camera's frame."""
 
@@ -96,7 +105,7 @@ class Normal:
         number = {name: len(each.feature) for name, each in state.shape.items()}
         own = {name: np.zeros((features, 3, 3)) for name, features in number.items()}
         pull = {name: np.zeros((features, 3)) for name, features in number.items()}
-        cross = {name: np.zeros((count, features, 3)) for name, features in number.items()}
+        sums = {name: np.zeros((features, count, 3)) for name, features in number.items()}
         for view in state.observations.views:
             part, shape = residuals_of(state, view), state.shape[view.board]
             weight = self._weighted(view, part.residual, sizes.noise[view.camera])
@@ -119,11 +128,12 @@ class Normal:
             moment = flat.T @ value.ravel()
             self.moment[columns] += np.concatenate([moment[:count], carry.T @ moment[count:]])
             mixed = local.transpose(0, 2, 1) @ by_place
-            cross[view.board][direct[:, None], rows] += mixed[:, :count].transpose(1, 0, 2)
-            cross[view.board][moved[:, None], rows] += (carry.T @ mixed[:, count:]).transpose(1, 0, 2)
+            mixed = np.concatenate([mixed[:, :count], carry.T @ mixed[:, count:]], axis=1)
+            _add_blocks(sums[view.board], rows, [layout.where[key] for key in (*part.columns, *motion)], mixed)
             own[view.board][rows] += by_place.transpose(0, 2, 1) @ by_place
             pull[view.board][rows] += np.einsum("nik,ni->nk", by_place, value)
         self.count = sum(self.values.values())
+        cross = {name: np.ascontiguousarray(each.transpose(1, 0, 2)) for name, each in sums.items()}
         for name, each in own.items():
             self._add_shape(layout.where["shape", name], state.boards[name].by_feature, cross[name], each, pull[name])
         self._eliminate(sizes, {name: each.reshape(len(each), -1) for name, each in cross.items()}, own, pull)
