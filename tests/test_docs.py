@@ -53,11 +53,20 @@ PLACES = [
 ]
 PROGRAM = r"(?:\./wlr|wlr-render)(?: |$)"
 SPAN = re.compile(r"`([^`\n]+)`")
-CODE_SUFFIXES = {".py", ".glsl", ".frag", ".vert"}
+CODE_SUFFIXES = {".py", ".h", ".glsl", ".frag", ".vert"}
 CLASS_OR_CONSTANT = re.compile(r"\b(?:[A-Z]+_[A-Z_]+|[A-Z][a-z]+[A-Z]\w*)\b")
 # Of environments and of other programs.
 THEIR_NAMES = {"OPENBLAS_NUM_THREADS", "OffscreenRenderer", "PYOPENGL_PLATFORM", "XDG_RUNTIME_DIR", "WLR_DATA"} | {
-    *("ComputeDistortion", "SubmitLayer", "TRANSFER_SRC", "XrCompositionLayerDisplayImageMNDX")  # of XR runtimes
+    *(
+        "ArrayMesh",
+        "CommandBuffer",
+        "DllImport",
+        "FPSemantics",
+        "FPSemanticsMode",
+        "FSceneViewExtensionBase",
+    ),  # of engines
+    *("IndexFormat", "LayoutKind", "StructLayout", "SubViewport"),
+    *("ComputeDistortion", "SubmitLayer", "TRANSFER_SRC", "XrCompositionLayerDisplayImageMNDX"),  # of XR runtimes
 }
 WORDS_OF_THE_SCRIPT = {"test", "check", "readers", "docs", "bench"}
 PLACEHOLDERS = {"VERB", "NAME"}

@@ -79,7 +79,7 @@ HELP = {
     },
     PICTURES: {
         "render": "Draw the frames of one or both eyes for a still or moving wearer; pack them as a data set.",
-        "export": "Write a headset's warp maps for other programs, with a page that explains them.",
+        "export": "Write a headset's warp maps or its model for other programs, with a page that explains the files.",
     },
 }
 VERBS = tuple(Verb(words, group, text) for group, verbs in HELP.items() for words, text in verbs.items())

@@ -50,12 +50,12 @@ def exported(form: FormatName, model: str, folder: Path, **options: Any) -> Repo
 
 
 @pytest.mark.slow
-def test_every_format_has_a_name_a_page_and_files(straight_device: str, tmp_path: Path) -> None:
+def test_every_format_has_a_name_a_page_and_files(straight_device: str, model_file: str, tmp_path: Path) -> None:
     assert tuple(form.name for form in FORMATS) == get_args(FormatName)
     for name, form in zip(get_args(FormatName), FORMATS, strict=True):
         if not form.holds.every_pixel:
             continue  # takes seconds, and has tests of its own
-        report = exported(name, straight_device, tmp_path / name)
+        report = exported(name, model_file if name == "c" else straight_device, tmp_path / name)
         page = (tmp_path / name / "report.md").read_text(encoding="utf-8")
         assert all(path.is_file() for path in report.files)
         steps = [step.replace("NAME", "right").replace("WxH", "64x36") for step in form.use]
@@ -362,6 +362,15 @@ def test_page_and_facts_state_the_predicted_error_by_source(model_file: str, tmp
     assert [row[1] for row in table.rows] == [*names, "all"]
     assert table.rows[0][3] == "Print the board on glass, measure its dots, or turn it by 90 degrees at one pose."
     assert "printing errors of the board" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_file_for_every_pupil_takes_no_pupil(model_file: str, tmp_path: Path) -> None:
+    report = exported("c", model_file, tmp_path)
+    assert {"right.wlr", "wlr_render.h"} <= {path.name for path in report.files}
+    assert not any("pupil" in warning for warning in report.warnings)
+    for option in ({"pupils": 2}, {"viewpoint_mm": (0.0, 0.0, 0.0)}, {"source_camera": "nearest"}):
+        with pytest.raises(BadInputError, match="has no effect with c: its file serves every position of the pupil"):
+            exported("c", model_file, tmp_path, **option)
 
 
 def test_headsets_without_covariance_have_no_predicted_error(

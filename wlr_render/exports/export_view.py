@@ -4,7 +4,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,8 +17,21 @@ from wlr_render.warp.view import View
 
 ALL_COLOURS = "all"
 """Name of the one map that serves all colours."""
-Predictor = Callable[[FloatArray, float], Mapping[str, Any]]
-"""(viewpoint (3,), depth (m)) -> `PredictedError.record` of one channel."""
+
+
+class Predicted(Protocol):
+    """Predicted registration error of one channel; `budget.error_map.PredictedError`."""
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Errors over the field of view, plain JSON."""
+
+    def at_pixel(self, pixel: FloatArray) -> FloatArray:
+        """Return the rms errors (n,) in arcminutes at pixels (n, 2)."""
+
+
+Predictor = Callable[[FloatArray, float], Predicted]
+"""(viewpoint (3,), depth (m)) -> the predicted error of one channel."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +121,7 @@ class ExportedView:
         """Return the predicted registration error of one colour at `viewpoint` and `depth_m`; None if there is none."""
         if not self.predictors:
             return None
-        return self.predictors[self.colours.index(colour)](self.viewpoint, self.depth_m)
+        return self.predictors[self.colours.index(colour)](self.viewpoint, self.depth_m).record
 
     @property
     def stems(self) -> tuple[str, ...]:

@@ -48,6 +48,8 @@ def losses(view: ExportedView, form: Format, colour: str) -> list[Loss]:
     for light, other in view.other_light.items():
         rays = view.rays_of(other, pixel, view.viewpoint)
         table.append(_loss(light, [_arcmin(view, shown, np.moveaxis(rays, -1, 0))]))
+    if holds.every_pupil:
+        return table
     steps = PUPIL_SHIFT_M * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     moved = [view.viewpoint + step for step in steps if mappings.eye_box.contains(view.viewpoint + step)]
     errors = [_arcmin(view, shown, np.moveaxis(view.rays_at(colour, pixel, pupil), -1, 0)) for pupil in moved]
@@ -57,7 +59,9 @@ def losses(view: ExportedView, form: Format, colour: str) -> list[Loss]:
 def not_held(view: ExportedView, form: Format) -> list[str]:
     """Return the properties of the headset that the files of a format lose, a sentence each."""
     holds, name = form.holds, form.name
-    lost = [f"{name} holds no moving pupil: a map is right for its own pupil position alone."]
+    lost = []
+    if not holds.every_pupil:
+        lost.append(f"{name} holds no moving pupil: a map is right for its own pupil position alone.")
     if not holds.every_depth:
         lost.append(f"{name} holds one depth from the source camera, for the whole picture; the format rays holds all.")
     if view.colours == (ALL_COLOURS,) and not _bends_all_light_alike(view):

@@ -14,7 +14,8 @@ class Capabilities:
     Attributes:
         every_depth: rays, so that a reader who knows the depth of a point finds its position in the picture.
         colours: separate maps for red, green and blue.
-        pupils: several pupil positions, in a file each or in one.
+        pupils: several pupil positions, in a file each.
+        every_pupil: one file for all pupil positions.
         asymmetric_field: borders of the source picture at different angles to the left and right, or up and down, and a
             turned camera for each eye.
         between_pixels: positions between the pixels of the source picture.
@@ -26,6 +27,7 @@ class Capabilities:
     every_depth: bool = False
     colours: bool = True
     pupils: bool = True
+    every_pupil: bool = False
     asymmetric_field: bool = True
     between_pixels: bool = True
     every_pixel: bool = True

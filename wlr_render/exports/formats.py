@@ -2,15 +2,16 @@
 
 from typing import Literal
 
+from wlr_render.exports.c_model import CModel
 from wlr_render.exports.format import Format
 from wlr_render.exports.mesh import GltfMesh
 from wlr_render.exports.monado import Monado
 from wlr_render.exports.mrcal import Mrcal
 from wlr_render.exports.pixel_maps import Ffmpeg, FloatMap, Npz, Rays, StMap
 
-FormatName = Literal["stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh", "monado", "mrcal"]
+FormatName = Literal["stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh", "monado", "mrcal", "c"]
 _FLOAT_MAPS = FloatMap("pfm"), FloatMap("tiff")
-FORMATS: tuple[Format, ...] = (StMap(), Rays(), *_FLOAT_MAPS, Ffmpeg(), Npz(), GltfMesh(), Monado(), Mrcal())
+FORMATS: tuple[Format, ...] = (StMap(), Rays(), *_FLOAT_MAPS, Ffmpeg(), Npz(), GltfMesh(), Monado(), Mrcal(), CModel())
 
 
 def format_of(name: str) -> Format:

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -212,13 +211,9 @@ def _predictors(options: ExportOptions, channels: EyeChannels) -> tuple[Predicto
         return ()
     reports = [load_eye_model(path, channels[0].eye).report for path in _headset_files(options).values()]
     return tuple(
-        partial(_predicted, mappings, ErrorSizes(truncation=Truncation.from_report(report)))
+        partial(predicted_error, mappings, ErrorSizes(truncation=Truncation.from_report(report)))
         for mappings, report in zip(channels, reports, strict=True)
     )
-
-
-def _predicted(mappings: Eye, sizes: ErrorSizes, viewpoint: FloatArray, depth_m: float) -> Mapping[str, Any]:
-    return predicted_error(mappings, sizes, viewpoint, depth_m).record
 
 
 def _other_light(options: ExportOptions, eye: str) -> dict[str, Eye]:

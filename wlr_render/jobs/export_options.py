@@ -128,6 +128,11 @@ class ExportOptions(Options):
         if self.source_size is not None and self.resolution != 1.0:
             raise BadInputError("--resolution has no effect with --source-size; leave out one of them.")
         _require_held(self)
+        if format_of(self.format).holds.every_pupil and (moving or self.source_camera != "viewpoint"):
+            raise BadInputError(
+                f"{moving[0] if moving else '--source-camera'} has no effect with {self.format}: its file serves every "
+                "position of the pupil and of the source camera; leave it out."
+            )
 
     @property
     def frames_per_second(self) -> float:
