@@ -6,8 +6,10 @@ import struct
 import subprocess
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +20,8 @@ from wlr_render.budget.error_sizes import ErrorSizes
 from wlr_render.errors import BadInputError
 from wlr_render.exports.c_model import HEADER, CModel, model_bytes
 from wlr_render.exports.export_view import ExportedView, Origin, view_from_centre
-from wlr_render.mappings import Status
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.mappings import Eye, Status
 from wlr_render.numerics.arrays import FloatArray
 
 DEVICES = ("northstar", "birdbath28")
@@ -30,8 +33,16 @@ CANNOT_READ, NOT_A_MODEL, OTHER_VERSION, DAMAGED = 1, 2, 3, 4
 pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler (cc)")
 
 
+def eye_sides(eye: Eye) -> tuple[Any, Any]:
+    return eye.display, eye.see_through
+
+
 def view_of(device: str) -> ExportedView:
-    eye = fitted_eye(device, 5)
+    eye = fitted_eye("birdbath28" if device == "tilted planes" else device, 5)
+    if device == "tilted planes":  # the same polynomials of points on other planes
+        planes = [BasePlane(0.004, (0.2, -0.3)), BasePlane(-0.003, (-0.1, 0.25))]
+        display, see_through = (replace(side, place=p) for side, p in zip(eye_sides(eye), planes, strict=True))
+        eye = replace(eye, display=display, see_through=see_through)
     predictors = (partial(predicted_error, eye, ErrorSizes()),)
     return view_from_centre((eye,), Origin(device, {}, {}), is_turned=True, predictors=predictors)
 
@@ -53,7 +64,7 @@ def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return str(folder / "answers")
 
 
-@pytest.fixture(params=DEVICES)
+@pytest.fixture(params=[*DEVICES, "tilted planes"])
 def model(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[ExportedView, Path]:
     path = tmp_path / "right.wlr"
     path.write_bytes(content(request.param))
@@ -129,6 +140,7 @@ def test_mesh_is_that_of_python(program: str, model: tuple[ExportedView, Path], 
     np.testing.assert_allclose(area, 2 / (columns * rows))  # counter-clockwise, and all of the panel
 
 
+@pytest.mark.parametrize("model", DEVICES, indirect=True)
 def test_predicted_errors_are_those_of_python(program: str, model: tuple[ExportedView, Path]) -> None:
     view, path = model
     for viewpoint, pixel in places(view, 0.9, 0.0):

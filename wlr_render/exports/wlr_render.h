@@ -1,19 +1,10 @@
-/* Rays, distortion meshes and panel pixels of a fitted AR headset, from the NAME.wlr beside this file.
- *
- * C99 or C++11, the C library and libm; MIT licence. `wlr_open` allocates, no other function does. No function changes
- * an open model: threads may share it. Compile without -ffast-math, which removes the checks for NaN.
- *
+/* Rays, distortion meshes and panel pixels of a fitted AR headset, from the NAME.wlr beside this file. C99 or C++11,
+ * the C library and libm; MIT licence. `wlr_open` allocates, no other function does. No function changes an open
+ * model: threads may share it. Compile without -ffast-math, which removes the checks for NaN.
  * Lengths are metres in the device frame: x right, y up, looking along -z. A viewpoint is the centre of the entrance
- * pupil. Pixels are (u, v): (0, 0) is the outer corner of the top left pixel of the panel, v runs down.
- *
- *     wlr_model model;
- *     if (wlr_open("right.wlr", &model) != WLR_OPENED) return 1;
- *     wlr_rays(&model, viewpoint, pixels, 81, rays);
- *     wlr_close(&model);
- */
+ * pupil. Pixels are (u, v): (0, 0) is the outer corner of the top left pixel of the panel, v runs down. */
 #ifndef WLR_RENDER_H
 #define WLR_RENDER_H
-
 #include <float.h>
 #include <math.h>
 #include <stdint.h>
@@ -21,18 +12,14 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define WLR_VERSION 1u
 #define WLR_ORDER 31     /* highest order of a Chebyshev polynomial */
 #define WLR_PRODUCTS 160 /* most products of two Chebyshev polynomials on each side of a polynomial */
-#define WLR_OUTPUTS 4
-#define WLR_WIDTH (WLR_PRODUCTS * WLR_OUTPUTS)
+#define WLR_WIDTH (4 * WLR_PRODUCTS) /* most coefficients of four outputs */
 #define WLR_LONGEST 4194304       /* bytes of a file */
 #define WLR_LIMIT 1.002           /* largest scaled input inside the fit; polynomials are linear beyond */
 #define WLR_EYE_BOX_MARGIN 0.5e-3 /* distance outside the eye box that counts as inside */
 
-/* Results of `wlr_open`. */
 enum { WLR_OPENED, WLR_CANNOT_READ, WLR_NOT_A_MODEL, WLR_OTHER_VERSION, WLR_DAMAGED, WLR_NO_MEMORY };
-
 /* Status of an answer, as in Python; the numbers of answers above WLR_OUTSIDE_FIT are NaN. */
 enum { WLR_OK, WLR_OUTSIDE_FIT, WLR_NOT_CONVERGED, WLR_MISS };
 
@@ -62,33 +49,27 @@ typedef struct {
     double error_arcmin;            /* predicted rms registration error for points at infinity; NaN if unknown */
     int status;
 } wlr_ray;
-
 typedef struct {
     double position[2]; /* clip coordinates of the panel, -1 to 1, y up */
     double texture[2];  /* place in the source picture, (0, 0) its top left corner, (1, 1) its bottom right one */
     double error_arcmin;
     int status;
 } wlr_vertex;
-
-typedef struct {
-    double pixel[2], error_arcmin;
-    int status;
-} wlr_pixel;
+typedef struct { double pixel[2], error_arcmin; int status; } wlr_pixel;
 
 static inline int wlr_is_finite(double x) { return fabs(x) <= DBL_MAX; }
 
-/* ---- Polynomials ---- */
-
 typedef struct {
     double value[WLR_PRODUCTS], slope[2][WLR_PRODUCTS], excess[WLR_PRODUCTS];
-    int is_inside, is_beyond[2];
+    int is_inside;
 } wlr_products;
 
 /* A polynomial whose first two inputs are given: coefficients of its tails. */
 typedef struct {
     const wlr_polynomial *p;
     int is_inside;
-    double here[WLR_WIDTH], border[WLR_WIDTH], by[2][WLR_WIDTH];
+    const double *here; /* `border` inside the fit, else `outside` */
+    double border[WLR_WIDTH], outside[WLR_WIDTH], by[2][WLR_WIDTH];
 } wlr_head;
 
 /* Products of one side (0 heads, 1 tails) at two inputs. Outside the fit they are those of its border; value + excess
@@ -100,14 +81,14 @@ static inline void wlr_products_at(const wlr_polynomial *p, int side, const doub
         const double low = p->low[2 * side + i], high = p->high[2 * side + i];
         const double x = (2.0 * input[i] - low - high) / (high - low);
         const double s = x > WLR_LIMIT ? WLR_LIMIT : x < -WLR_LIMIT ? -WLR_LIMIT : x;
-        beyond[i] = x - s, per_unit[i] = 2.0 / (high - low), out->is_beyond[i] = !(fabs(x) <= WLR_LIMIT);
+        beyond[i] = x - s, per_unit[i] = 2.0 / (high - low);
+        out->is_inside = (i == 0 || out->is_inside) && fabs(x) <= WLR_LIMIT;
         t[i][0] = 1.0, t[i][1] = s, d[i][0] = 0.0, d[i][1] = 1.0; /* Chebyshev polynomials and their derivatives */
         for (int k = 2; k <= p->highest; ++k) {
             t[i][k] = 2.0 * s * t[i][k - 1] - t[i][k - 2];
             d[i][k] = 2.0 * t[i][k - 1] + 2.0 * s * d[i][k - 1] - d[i][k - 2];
         }
     }
-    out->is_inside = !out->is_beyond[0] && !out->is_beyond[1];
     for (int k = 0; k < p->count[side]; ++k) {
         const int i = p->order[side][k][0], j = p->order[side][k][1];
         out->value[k] = t[0][i] * t[1][j];
@@ -118,35 +99,29 @@ static inline void wlr_products_at(const wlr_polynomial *p, int side, const doub
     }
 }
 
-/* Adds to `out` the coefficients of the tails for weights of the heads. */
-static inline void wlr_add_heads(const wlr_polynomial *p, const double *weight, double *out) {
-    for (int h = 0; h < p->count[0]; ++h) {
-        const double *c = p->c + h * p->count[1] * p->outputs;
-        for (int i = 0; i < p->used[h] * p->outputs; ++i) out[i] += weight[h] * c[i];
-    }
+/* Coefficients of the tails for weights of the heads, added to those in `more` unless it is NULL. */
+static inline void wlr_heads(const wlr_polynomial *p, const double *weight, const double *more, double *out) {
+    const int width = p->count[1] * p->outputs;
+    for (int i = 0; i < width; ++i) out[i] = more ? more[i] : 0.0;
+    for (int h = 0; h < p->count[0]; ++h)
+        for (int i = 0; i < p->used[h] * p->outputs; ++i) out[i] += weight[h] * p->c[h * width + i];
 }
 
 static inline void wlr_hold(const wlr_polynomial *p, const double *input, int with_slope, wlr_head *head) {
-    const size_t size = sizeof(double) * (size_t)(p->count[1] * p->outputs);
     wlr_products at;
     wlr_products_at(p, 0, input, with_slope, &at);
-    head->p = p, head->is_inside = at.is_inside;
-    memset(head->border, 0, size);
-    wlr_add_heads(p, at.value, head->border);
-    memcpy(head->here, head->border, size);
-    if (!at.is_inside) wlr_add_heads(p, at.excess, head->here);
-    for (int i = 0; i < 2 && with_slope; ++i) {
-        memset(head->by[i], 0, size);
-        wlr_add_heads(p, at.slope[i], head->by[i]);
-    }
+    head->p = p, head->is_inside = at.is_inside, head->here = at.is_inside ? head->border : head->outside;
+    wlr_heads(p, at.value, NULL, head->border);
+    if (!at.is_inside) wlr_heads(p, at.excess, head->border, head->outside);
+    for (int i = 0; i < 2 && with_slope; ++i) wlr_heads(p, at.slope[i], NULL, head->by[i]);
 }
 
-static inline void wlr_add_tails(const wlr_polynomial *p, const double *held, const double *tail, double *out) {
+static inline void wlr_tails(const wlr_polynomial *p, const double *held, const double *tail, double *out, int adds) {
     for (int o = 0; o < p->outputs; o += 2) { /* outputs are pairs of x and y */
-        double x = 0.0, y = 0.0;
+        double x = adds ? out[o] : 0.0, y = adds ? out[o + 1] : 0.0;
         const double *c = held + o;
         for (int k = 0; k < p->count[1]; ++k, c += p->outputs) x += c[0] * tail[k], y += c[1] * tail[k];
-        out[o] += x, out[o + 1] += y;
+        out[o] = x, out[o + 1] = y;
     }
 }
 
@@ -154,24 +129,20 @@ static inline void wlr_add_tails(const wlr_polynomial *p, const double *held, co
 static inline int wlr_value(const wlr_head *head, const double *input, int first, double *value, double (*slope)[4]) {
     wlr_products at;
     wlr_products_at(head->p, 1, input, first < 4, &at);
-    memset(value, 0, WLR_OUTPUTS * sizeof *value);
-    wlr_add_tails(head->p, head->here, at.value, value);
-    if (!at.is_inside) wlr_add_tails(head->p, head->border, at.excess, value);
+    wlr_tails(head->p, head->here, at.value, value, 0);
+    if (!at.is_inside) wlr_tails(head->p, head->border, at.excess, value, 1);
     for (int i = first; i < 4; ++i) {
-        memset(slope[i], 0, sizeof slope[i]);
-        if (i < 2) wlr_add_tails(head->p, head->by[i], at.value, slope[i]);
-        else wlr_add_tails(head->p, at.is_beyond[i - 2] ? head->border : head->here, at.slope[i - 2], slope[i]);
+        const double *held = i < 2 ? head->by[i] : at.is_inside ? head->here : head->border;
+        wlr_tails(head->p, held, i < 2 ? at.value : at.slope[i - 2], slope[i], 0);
     }
     return head->is_inside && at.is_inside;
 }
-
-/* ---- Solves ---- */
 
 typedef struct {
     const wlr_model *model;
     const double *viewpoint, *target; /* target: what the residual compares with */
     wlr_head *head;
-    double inverse_depth, value[WLR_OUTPUTS];
+    double inverse_depth, value[4];
     int is_inside;
 } wlr_problem;
 
@@ -205,7 +176,7 @@ static inline double wlr_cross(const double *plane, const double *v, const doubl
 
 /* x is the place on the display's base plane; the pixel is in `head`. */
 static inline void wlr_place_residual(wlr_problem *a, const double *x, double *r, double *by) {
-    double s[4][WLR_OUTPUTS], at[2], depth_by[2];
+    double s[4][4], at[2], depth_by[2];
     a->is_inside = wlr_value(a->head, x, 2, a->value, s);
     const double *t = a->value, depth = wlr_cross(a->model->plane[0], a->viewpoint, t, at, depth_by);
     for (int n = 0; n < 4; ++n) {
@@ -217,7 +188,7 @@ static inline void wlr_place_residual(wlr_problem *a, const double *x, double *r
 
 /* x are view tangents; the target is the straight line to a real point. */
 static inline void wlr_view_residual(wlr_problem *a, const double *x, double *r, double *by) {
-    double at[2], s[4][WLR_OUTPUTS], depth_by[2], d[2];
+    double at[2], s[4][4], depth_by[2], d[2];
     const double depth = wlr_cross(a->model->plane[1], a->viewpoint, x, at, depth_by);
     const double near_ = a->inverse_depth, far_ = 1.0 - depth * near_;
     wlr_hold(&a->model->see_through, at, 1, a->head);
@@ -233,19 +204,16 @@ static inline void wlr_view_residual(wlr_problem *a, const double *x, double *r,
 
 /* x is the pixel; the target are view tangents and the place on the display's base plane. */
 static inline void wlr_pixel_residual(wlr_problem *a, const double *x, double *r, double *by) {
-    double s[4][WLR_OUTPUTS];
+    double s[4][4];
     wlr_hold(&a->model->display, x, 1, a->head);
     a->is_inside = wlr_value(a->head, a->target + 2, 0, a->value, s);
     for (int n = 0; n < 4; ++n) r[n / 2] = a->value[n / 2] - a->target[n / 2], by[n] = s[n % 2][n / 2];
 }
 
-/* ---- Answers ---- */
-
-static inline int wlr_in_eye_box(const wlr_model *m, const double *viewpoint) {
-    int inside = 1;
-    for (int i = 0; i < 3; ++i)
-        inside &= fabs(viewpoint[i] - m->eye_box_centre[i]) <= 0.5 * m->eye_box_size[i] + WLR_EYE_BOX_MARGIN;
-    return inside;
+static inline int wlr_in_eye_box(const wlr_model *m, const double *v) {
+    int n = 0; /* axes along which the viewpoint is inside */
+    for (int i = 0; i < 3; ++i) n += fabs(v[i] - m->eye_box_centre[i]) <= 0.5 * m->eye_box_size[i] + WLR_EYE_BOX_MARGIN;
+    return n == 3;
 }
 
 /* Predicted rms registration error of a pixel in arcminutes, from square errors: linear over the panel between the
@@ -282,7 +250,7 @@ static inline void wlr_rays(const wlr_model *m, const double *viewpoint, const d
     for (; count > 0; --count, nodes += 2, ++out) {
         wlr_head head;
         wlr_problem problem = {m, viewpoint, NULL, &head, 0.0, {0.0, 0.0, 0.0, 0.0}, 0};
-        double at[2] = {viewpoint[0], viewpoint[1]}, unused[2], bent[WLR_OUTPUTS];
+        double at[2] = {viewpoint[0], viewpoint[1]}, unused[2], bent[4];
         wlr_hold(&m->display, nodes, 0, &head);
         const int solved = wlr_newton(wlr_place_residual, &problem, at);
         wlr_cross(plane, viewpoint, problem.value, at, unused);
@@ -292,12 +260,12 @@ static inline void wlr_rays(const wlr_model *m, const double *viewpoint, const d
         const double ray[6] = {at[0] + bent[2], at[1] + bent[3], plane[0] + plane[1] * at[0] + plane[2] * at[1],
                                x / length, y / length, -1.0 / length};
         const int given = wlr_is_finite(nodes[0] + nodes[1] + viewpoint[0] + viewpoint[1] + viewpoint[2]);
-        const int found = solved && wlr_is_finite(length + ray[0] + ray[1]);
+        const int found = given && solved && wlr_is_finite(length + ray[0] + ray[1]);
         out->status = !given ? WLR_MISS : !found ? WLR_NOT_CONVERGED : inside ? WLR_OK : WLR_OUTSIDE_FIT;
-        out->error_arcmin = given && found ? wlr_error_at(m, viewpoint, nodes) : (double)NAN;
+        out->error_arcmin = found ? wlr_error_at(m, viewpoint, nodes) : (double)NAN;
         for (int i = 0; i < 3; ++i) {
-            out->origin[i] = given && found ? ray[i] : (double)NAN;
-            out->direction[i] = given && found ? ray[3 + i] : (double)NAN;
+            out->origin[i] = found ? ray[i] : (double)NAN;
+            out->direction[i] = found ? ray[3 + i] : (double)NAN;
         }
     }
 }
@@ -375,33 +343,32 @@ typedef struct {
 static inline uint32_t wlr_u32(wlr_reader *r, uint32_t least, uint32_t most) {
     uint32_t value = 0;
     for (unsigned i = 0; i < 4 && r->left >= 4; ++i) value |= (uint32_t)r->at[i] << 8u * i;
-    if (r->left < 4) r->error = WLR_DAMAGED;
+    if (r->left < 4 || value < least || value > most) r->error = r->error ? r->error : WLR_DAMAGED;
     else r->at += 4, r->left -= 4;
-    if (value < least || value > most) r->error = WLR_DAMAGED;
     return value;
 }
 
 static inline void wlr_f64(wlr_reader *r, double *out, size_t count) {
-    for (size_t i = 0; i < count && !r->error; ++i) {
+    for (; count > 0 && !r->error; --count, ++out) {
         const uint64_t low = wlr_u32(r, 0, UINT32_MAX), bits = low | (uint64_t)wlr_u32(r, 0, UINT32_MAX) << 32u;
-        memcpy(out + i, &bits, sizeof bits);
-        if (!(fabs(out[i]) <= 1e9)) r->error = WLR_DAMAGED; /* NaN, too */
+        memcpy(out, &bits, sizeof bits);
+        if (!(fabs(*out) <= 1e9)) r->error = WLR_DAMAGED; /* NaN, too */
     }
 }
 
 /* Allocates and reads an array whose length must fit into the rest of the file. */
 static inline double *wlr_array(wlr_reader *r, size_t count) {
-    double *out = NULL;
     if (!r->error && count > r->left / 8) r->error = WLR_DAMAGED;
-    if (!r->error && !(out = (double *)malloc(count * sizeof(double)))) r->error = WLR_NO_MEMORY;
+    double *out = r->error ? NULL : (double *)malloc(count * sizeof(double));
+    if (!r->error && !out) r->error = WLR_NO_MEMORY;
     wlr_f64(r, out, count);
     return out;
 }
 
 static inline void wlr_read_polynomial(wlr_reader *r, wlr_polynomial *p, int outputs) {
+    if (r->error) return;
     const uint32_t heads = wlr_u32(r, 1, WLR_PRODUCTS), tails = wlr_u32(r, 1, WLR_PRODUCTS);
-    wlr_f64(r, p->low, 4);
-    wlr_f64(r, p->high, 4);
+    wlr_f64(r, p->low, 4), wlr_f64(r, p->high, 4);
     for (int i = 0; i < 4; ++i) if (!(p->high[i] - p->low[i] > 1e-9)) r->error = WLR_DAMAGED;
     for (uint32_t i = 0; !r->error && i < 2 * (heads + tails); ++i) {
         const uint32_t k = i / 2, order = wlr_u32(r, 0, WLR_ORDER);
@@ -437,24 +404,21 @@ static inline int wlr_open_bytes(const void *bytes, size_t count, wlr_model *m) 
     memset(m, 0, sizeof *m);
     if (count < 16 || memcmp(bytes, "wlrmodel", 8) != 0) return WLR_NOT_A_MODEL;
     r.at += 8, r.left -= 8;
-    if (wlr_u32(&r, 0, UINT32_MAX) != WLR_VERSION) return WLR_OTHER_VERSION;
+    if (wlr_u32(&r, 0, UINT32_MAX) != 1u) return WLR_OTHER_VERSION;
     if (wlr_u32(&r, 0, UINT32_MAX) != wlr_crc32(r.at, r.left)) return WLR_DAMAGED;
     m->is_right_eye = wlr_u32(&r, 0, 1);
     for (int i = 0; i < 2; ++i) m->panel_px[i] = wlr_u32(&r, 1, 1000000);
-    wlr_f64(&r, m->eye_box_centre, 3);
-    wlr_f64(&r, m->eye_box_size, 3);
+    wlr_f64(&r, m->eye_box_centre, 3), wlr_f64(&r, m->eye_box_size, 3);
+    wlr_f64(&r, m->plane[0], 3), wlr_f64(&r, m->plane[1], 3);
+    wlr_f64(&r, m->device_from_camera, 9), wlr_f64(&r, m->borders, 4);
     for (int i = 0; i < 3; ++i) if (!(m->eye_box_size[i] > 0.0)) r.error = WLR_DAMAGED;
-    for (int i = 0; i < 2; ++i) wlr_f64(&r, m->plane[i], 3);
-    wlr_f64(&r, m->device_from_camera, 9);
-    wlr_f64(&r, m->borders, 4);
     if (!(m->borders[0] < m->borders[1] && m->borders[2] < m->borders[3])) r.error = WLR_DAMAGED;
-    if (!r.error) wlr_read_polynomial(&r, &m->display, 2);
-    if (!r.error) wlr_read_polynomial(&r, &m->see_through, 4);
+    wlr_read_polynomial(&r, &m->display, 2), wlr_read_polynomial(&r, &m->see_through, 4);
     for (int i = 0; i < 2; ++i) m->error_cells[i] = wlr_u32(&r, 0, 100);
     const size_t rows = m->error_cells[0], columns = m->error_cells[1];
     if (rows == 1 || columns == 1 || !rows != !columns) r.error = WLR_DAMAGED;
     if (rows && !r.error) m->square_error = wlr_array(&r, 27 * rows * columns);
-    if (!r.error && r.left) r.error = WLR_DAMAGED;
+    if (r.left && !r.error) r.error = WLR_DAMAGED;
     if (r.error) wlr_close(m);
     return r.error;
 }
@@ -462,14 +426,14 @@ static inline int wlr_open_bytes(const void *bytes, size_t count, wlr_model *m) 
 /* Opens a model file; after another result than WLR_OPENED the model needs no `wlr_close`. */
 static inline int wlr_open(const char *path, wlr_model *m) {
     FILE *file = fopen(path, "rb");
-    void *bytes = file ? malloc(WLR_LONGEST) : NULL;
-    const size_t count = bytes ? fread(bytes, 1, WLR_LONGEST, file) : 0;
-    const int result = !file || (bytes && ferror(file)) ? WLR_CANNOT_READ : bytes ? WLR_OPENED : WLR_NO_MEMORY;
+    void *bytes = malloc(WLR_LONGEST);
     memset(m, 0, sizeof *m);
+    const size_t count = file && bytes ? fread(bytes, 1, WLR_LONGEST, file) : 0;
+    int result = !bytes ? WLR_NO_MEMORY : !file || ferror(file) ? WLR_CANNOT_READ : WLR_OPENED;
+    if (result == WLR_OPENED) result = wlr_open_bytes(bytes, count, m);
     if (file) fclose(file);
-    const int opened = result ? result : wlr_open_bytes(bytes, count, m);
     free(bytes);
-    return opened;
+    return result;
 }
 
 #endif
