@@ -50,6 +50,14 @@ def view_of(device: str) -> ExportedView:
 content = lru_cache(lambda device: model_bytes(view_of(device), "all"))
 
 
+def sanitizers(compiler: str, folder: Path) -> list[str]:
+    """CHECKED where programs that are compiled so run: the libraries are packages of their own on some systems."""
+    source, made = folder / "nothing.c", folder / "nothing"
+    source.write_text("int main(void) { return 0; }\n", encoding="utf-8")
+    compiled = subprocess.run([compiler, *CHECKED, str(source), "-o", str(made)], capture_output=True).returncode == 0
+    return CHECKED if compiled and subprocess.run([str(made)], capture_output=True).returncode == 0 else []
+
+
 @pytest.fixture(scope="module", params=["c99", "c++11"])
 def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
     compiler = "cc" if request.param == "c99" else "c++"
@@ -59,7 +67,8 @@ def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     list(CModel().write([view_of("northstar")], folder))
     source = shutil.copy(Path(__file__).with_name("c_answers.c"), folder)
     language = ["-x", "c++"] if compiler == "c++" else []
-    command = [compiler, f"-std={request.param}", *CHECKED, f"-I{folder}", *language, str(source), "-x", "none"]
+    checked = sanitizers(compiler, folder)
+    command = [compiler, f"-std={request.param}", *checked, f"-I{folder}", *language, str(source), "-x", "none"]
     subprocess.run([*command, *STRICT, "-o", str(folder / "answers")], check=True)
     return str(folder / "answers")
 
