@@ -21,8 +21,9 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.eye_camera import EyeCamera
 from wlr_render.warp.gl_warp import Backdrop, GlWarp, WarpedPicture
+from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.grid import WarpGrid
-from wlr_render.warp.stored_picture import DepthKind, StoredDepth
+from wlr_render.warp.stored_picture import DepthKind, StoredColour, StoredDepth
 from wlr_render.warp.view import GeometryImage
 from wlr_render.warp.warp import WarpedImage, WarpStatus
 
@@ -162,6 +163,100 @@ def test_a_head_that_turns_back_sees_the_last_picture(
     assert gap.sum() > 700
     assert (codes_off(alone, truth)[gap] > 30).mean() > 0.95
     assert (codes_off(filled, truth)[gap] > 8).mean() < 0.1
+
+
+@pytest.fixture
+def shaken(compositor: Callable[..., Any]) -> Callable[..., Compositor]:
+    """Makes a compositor that has the pictures from OLDER and from HEAD, with the last picture or repeated areas."""
+
+    def make(hidden_areas: str, submit: Callable[[Compositor, EyeCamera], None] = by_arrays) -> Compositor:
+        made: Compositor = compositor(planar(), (180, 150), hidden_areas=hidden_areas)
+        for pose in (HEAD @ OLDER, HEAD):
+            submit(made, *made.begin_frame(pose, viewpoint(planar())).values())
+        return made
+
+    return make
+
+
+@pytest.mark.parametrize("samples", [0, 4])
+def test_a_framebuffer_shows_the_last_picture_too(shaken: Callable[..., Compositor], samples: int) -> None:
+    made = shaken("last picture")
+    with made.context.drawing() as ctx:
+        theirs, resolved = (ctx.simple_framebuffer((180, 150), samples=each) for each in (samples, 0))
+    made.compose(theirs, pose=HEAD @ SEEN_FROM)
+    with made.context.drawing() as ctx:
+        ctx.copy_framebuffer(resolved, theirs)
+        shown = np.frombuffer(resolved.read(components=3, alignment=1), np.uint8).reshape(150, 180, 3)[::-1]
+    np.testing.assert_array_equal(shown, made.compose(pose=HEAD @ SEEN_FROM).read())
+    assert (shown != shaken("repeated").compose(pose=HEAD @ SEEN_FROM).read()).any()
+
+
+def test_overlays_cover_what_the_last_picture_fills(shaken: Callable[..., Compositor]) -> None:
+    made = shaken("last picture")
+    at_quad = transforms.rigid(np.eye(3), np.array([0.0, 0.0, -0.6]))
+    white = np.full((4, 4, 4), 255, np.uint8)
+    for of_device, of_world in ((at_quad, None), (None, HEAD @ at_quad)):
+        made.submit_overlay(white, (3.0, 3.0), device_from_quad=of_device, world_from_quad=of_world)
+        frame = made.compose(pose=HEAD @ SEEN_FROM)
+        assert (frame.status() == WarpStatus.DISOCCLUDED).sum() > 700
+        assert (frame.read() == 255).all()
+
+
+def test_each_row_has_its_own_pose_in_the_last_picture(shaken: Callable[..., Compositor]) -> None:
+    made, first = shaken("last picture"), HEAD @ SEEN_FROM
+    last = first @ transforms.rigid(transforms.rotation_about("y", 0.02), np.zeros(3))
+    by_rows = made.compose(pose=first, pose_at_last_row=last)
+    rows, gap = by_rows.read(), by_rows.status() == WarpStatus.DISOCCLUDED
+    number = 40 + int(gap[40:].sum(axis=1).argmax())
+    at_row = made.compose(pose=transforms.between(first, last, np.array([number / 149]))[0]).read()[number]
+    at_first, hidden = made.compose(pose=first).read()[number], gap[number]
+    assert hidden.sum() > 8
+    assert np.median(codes_off(rows[number], at_row)[hidden]) <= 3
+    assert np.median(codes_off(rows[number], at_first)[hidden]) > 10
+
+
+def test_pictures_of_two_kinds_of_alpha_do_not_mix(shaken: Callable[..., Compositor]) -> None:
+    with_alpha = iter([True, False] * 2)
+
+    def submit(made: Compositor, camera: EyeCamera) -> None:
+        image, alpha = drawn(camera), next(with_alpha)
+        colour = np.concatenate([image.colour, np.full_like(image.colour[..., :1], 255)], axis=-1)
+        stored = StoredDepth(DepthKind.INVERSE)
+        made.submit(colour, image.inverse_depth, stored=stored, stored_colour=StoredColour(alpha=alpha))
+
+    filled, repeated = (shaken(each, submit).compose(pose=HEAD @ SEEN_FROM) for each in ("last picture", "repeated"))
+    np.testing.assert_array_equal(filled.read(), repeated.read())
+
+
+@pytest.mark.parametrize("is_prepared", [True, False])
+def test_depth_bounds_stay_those_of_their_picture(compositor: Callable[..., Any], is_prepared: bool) -> None:
+    poses = HEAD @ moved(0.01), HEAD @ OLDER, HEAD
+
+    def shown(made: Compositor, pose: FloatArray, again: GpuImage | None = None) -> GpuImage:
+        (camera,) = made.begin_frame(pose, viewpoint(planar())).values()
+        image = again or uploaded(made.context, drawn(camera), camera.view.camera)
+        made.submit(image)
+        return image
+
+    made, expected = (compositor(planar(), (180, 150), hidden_areas="last picture") for _ in range(2))
+    if is_prepared:
+        for pose in poses:
+            shown(made, pose)
+            made.compose(pose=HEAD @ SEEN_FROM)
+        made.prepare()
+        shown(expected, poses[1])
+        shown(expected, poses[2])
+    else:
+        images = []
+        for pose in (poses[1], poses[2], poses[1]):
+            images.append(shown(made, pose))
+            made.compose(pose=HEAD @ SEEN_FROM)
+        shown(made, poses[0])
+        shown(made, poses[2], images[1])
+        shown(expected, poses[0])
+        shown(expected, poses[2])
+    found = made.compose(pose=HEAD @ SEEN_FROM).read()
+    np.testing.assert_array_equal(found, expected.compose(pose=HEAD @ SEEN_FROM).read())
 
 
 def test_a_last_picture_that_was_drawn_over_is_not_shown(compositor: Callable[..., Any]) -> None:

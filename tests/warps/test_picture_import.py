@@ -128,6 +128,14 @@ def test_depths_at_the_ends_of_a_range_may_be_rounded(take: PictureImport) -> No
     taken = take.from_arrays(CAMERA, np.zeros((*SIZE[::-1], 3), np.uint8), depth, stored).read().inverse_depth
     assert taken[0, 0] == 0
     np.testing.assert_allclose(taken.ravel()[1:], 1.0, rtol=1e-5)
+    for far, end in ((10.0, 0.9), (10.0, 0.5)):  # the codes of 16 bits beside the end are background, too
+        code = round(end * 65535) / 65535
+        stored = StoredDepth(DepthKind.WINDOW, 0.1, far, max_depth=end)
+        depth = np.full(SIZE[::-1], code, np.float32)
+        depth[0, 0] = 0.99 * end
+        taken = take.from_arrays(CAMERA, np.zeros((*SIZE[::-1], 3), np.uint8), depth, stored).read().inverse_depth
+        assert taken[0, 0] > 0
+        assert not taken.ravel()[1:].any()
 
 
 def framebuffer(

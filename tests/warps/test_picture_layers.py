@@ -198,7 +198,8 @@ def test_bad_layers_are_refused_in_a_sentence(gl_context: GlContext, take: Pictu
     ):
         with pytest.raises(BadInputError, match=words):
             take.take(CAMERA, given, beside, INVERSE)
-    assert TextureLayer(5, rect_px=[1, 2, 3, 4]).rect_in((4, 6)) == ((1, 2), (3, 4))
+    assert TextureLayer(5, rect_px=[1, 2, 3, 4]) == TextureLayer(5, rect_px=(1, 2, 3, 4))
+    hash(TextureLayer(5, rect_px=[1, 2, 3, 4]))
     for bad, words in (
         ({"texture": "colour"}, "texture is a str; give"),
         ({"texture": 5, "layer": -1}, "layer is -1; give a whole number from 0"),

@@ -251,7 +251,7 @@ class GlContext:
 
     @cached_property
     def no_status(self) -> Texture:
-        """A texture of integers for programs that are not to read one; call it in a drawing block first."""
+        """A placeholder for programs that draw no backdrop; call it in a drawing block first."""
         return self.target((1, 1), 1, "u1")
 
     def srgb_texture(self, image: NDArray[np.uint8]) -> Texture:

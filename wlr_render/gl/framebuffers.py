@@ -71,6 +71,8 @@ class TextureLayer:
         is_rect = isinstance(rect, tuple | list) and len(rect) == 4 and all(map(is_number, rect))
         if not is_rect or min(rect[:2]) < 0 or min(rect[2:]) < 1:
             raise BadInputError(f"rect_px is {rect!r}; give (x, y, width, height), four whole numbers.")
+        if self.rect_px is not None:
+            object.__setattr__(self, "rect_px", tuple(map(int, rect)))  # a key of caches
 
     def rect_in(self, size_px: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
         """Return the first pixel (x, y) and the size (width, height) of the picture in a level of a size.

@@ -208,7 +208,7 @@ class Compositor:
                 a ModernGL framebuffer, or the OpenGL number of one, that holds depth too; or a `GpuImage` of this
                 library's renderers; only a `GpuImage` is not copied.
             depth: a numpy array (height, width) or a texture, unless `colour` holds it. Pixels that hold NaN are
-                background. Numbers outside `StoredDepth.limits` are refused in arrays; in textures, which are not read
+                background. Numbers outside what `stored` allows are refused in arrays; in textures, which are not read
                 back, they are background too.
             eye: may be left out if there is one eye, or a camera.
             stored: encoding of the depth; by default metres along the camera's axis with 0 for background, as pyrender
@@ -298,12 +298,12 @@ class Compositor:
                 as OpenGL shows it, with the panel's codes whatever its format. 0 is the window's framebuffer, whose
                 size is not checked. Textures of the compositor if None.
             eyes: which eyes to compose, all if None.
-            pose: (4, 4) newest world_from_device, when the first row lights up; the pose of the newest `begin_frame` if
-                None.
+            pose: (4, 4) newest world_from_device, when the first row lights up; if None the pose of the newest
+                `begin_frame`, also for pictures of newer `locate_views`.
             viewpoint: newest viewpoints; eyes that are not named keep the viewpoint of the newest `begin_frame`.
             pose_at_last_row: for a display that lights up row by row, the head's pose when the last row lights up.
             scan: "down" if the top row lights up first, "up" if the bottom row does.
-            time_s, predict_s: as `begin_frame`; `pose` is needed with them, and `pose_at_last_row` is not predicted.
+            time_s, predict_s: as `locate_views`; `pose` is needed with them, and `pose_at_last_row` is not predicted.
             with_source: also make the pull map, `WarpedImage.source`, where there is no `into`.
 
         Raises:

@@ -166,7 +166,8 @@ class GlEye:
             return moved, self.seen_overlays(view, world_from_device)
 
         last, backdrop = self._last_picture, None
-        if last is not None and not last.image.is_overwritten():
+        has_alpha = self._pictures[0].image.has_alpha
+        if last is not None and not last.image.is_overwritten() and last.image.has_alpha == has_alpha:
             backdrop = Backdrop(last, *seen_from(self._views[1]))
         moved, overlays = seen_from(self._views[0])
         return self._composed(self._pictures, viewpoint, moved, target, with_source, overlays, backdrop)

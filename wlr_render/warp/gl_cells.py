@@ -1,4 +1,4 @@
-"""Cells of a warp grid: where the rays of their corners appear in an image, and at which inverse depths they end."""
+"""Cells of a warp grid: where the rays of their corners appear in an image, and bounds of the depths that they meet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

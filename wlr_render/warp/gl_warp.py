@@ -111,8 +111,8 @@ class GlWarp:
     image skips the cells that the inset fills. The inset's border blends into the wider image (`PictureImport.take`),
     so that no seam is visible.
 
-    A backdrop, an older picture of another view, is drawn where that is DISOCCLUDED. What is nearer than the middle of
-    the depths of the newer picture's cell is not taken from it: it may have moved since.
+    A backdrop, an older picture of another view, is drawn where the newest one is DISOCCLUDED. What is nearer than the
+    middle of the depths of the newest picture's cell is not taken from it: it may have moved since.
     """
 
     def __init__(self, context: gl.GlContext, channels: int = 1, panel: PanelEncoder = SRGB_ENCODER) -> None:
@@ -214,11 +214,11 @@ class GlWarp:
         """Draw to a caller's target, or to one of ours: by a compute shader where the context prefers it."""
         size_px = target.size_px if isinstance(target, WarpTarget) else target.framebuffer.size
         _check(ray_maps, self._channels, image_from_ray_map)
-        cells = self._drawn_cells(pictures, ray_maps, image_from_ray_map, size_px)
         if backdrop is not None:
             drawn = backdrop.picture.image, ray_maps, backdrop.image_from_ray_map, size_px
             self._backdrop_cells = self._backdrop_cells or GlCells(self._context, self._channels, self._ranges)
             backdrop_cells = self._backdrop_cells.draw(*drawn, is_inset=False, inset=None)
+        cells = self._drawn_cells(pictures, ray_maps, image_from_ray_map, size_px)
         light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
         for k, (picture, front) in enumerate(zip(pictures, cells, strict=True)):
             uniforms = {"background": light, "is_inset": k > 0}

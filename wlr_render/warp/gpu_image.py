@@ -105,6 +105,8 @@ class GlDepthRanges:
         """
         for kept, ranges in self._kept:
             if kept is image:
+                if kept is not self._kept[0][0]:
+                    self._kept, self._targets = self._kept[::-1], self._targets[::-1]
                 return ranges
         self._targets = self._targets[::-1]
         size = image.inverse_depth.size

@@ -85,7 +85,8 @@ class StoredDepth:
         near_m, far_m: for WINDOW, the distances stored as `min_depth` and `max_depth`; `far_m` may be infinite. For a
             reversed depth buffer they change places: (inf, 0.05) stores the near plane as 1.
         min_depth, max_depth: for WINDOW, the range of glDepthRange or of a Vulkan or Direct3D viewport; with the
-            distances as in XrCompositionLayerDepthInfoKHR. What is stored outside the range is background.
+            distances as in XrCompositionLayerDepthInfoKHR. What is stored outside the range is background, and within
+            a step of a 16-bit format of a far plane at neither 0 nor 1.
 
     Raises:
         BadInputError: WINDOW without two different distances of at least `NEAREST_M`, one of them finite, or a range
@@ -129,13 +130,21 @@ class StoredDepth:
             return self.min_depth if self.near_m > self.far_m else self.max_depth
         return 0.0 if self.kind is DepthKind.METRES else np.inf
 
+    @property
+    def _range_of_surfaces(self) -> tuple[float, float]:
+        """The depth range, a step more at its near end and less at its far end: a depth format may round both."""
+        nearer = _DEPTH_STEP if self.near_m > self.far_m else -_DEPTH_STEP
+        low = 0.0 if self.min_depth == 0 else max(0.0, self.min_depth + nearer)
+        high = 1.0 if self.max_depth == 1 else min(1.0, self.max_depth + nearer)
+        return low, high
+
     @cached_property
     def limits(self) -> tuple[np.float32, np.float32]:
         """Smallest and largest stored number of a surface."""
         largest = np.finfo(np.float32).max
         ends: dict[DepthKind, tuple[float, float]] = {
             DepthKind.METRES: (NEAREST_M, float(largest)),
-            DepthKind.WINDOW: (max(0.0, self.min_depth - _DEPTH_STEP), min(1.0, self.max_depth + _DEPTH_STEP)),
+            DepthKind.WINDOW: self._range_of_surfaces,
             DepthKind.INVERSE: (0.0, 1 / NEAREST_M),
         }
         low, high = ends[self.kind]
@@ -221,7 +230,8 @@ def check_arrays(
     The depth of a picture that needs none is None.
 
     Raises:
-        BadInputError: shape, type or size is another, or a depth is outside `StoredDepth.limits`.
+        BadInputError: shape, type or size is another, or a depth is outside 0 to 1 for WINDOW, else outside
+            `StoredDepth.limits`.
     """
     check_colour_array(colour, stored_colour)
     if depth is not None and (depth.dtype != np.float32 or depth.ndim != 2):
