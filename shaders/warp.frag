@@ -38,7 +38,7 @@ void sides_of_pixel(const int channel, out vec2 across, out vec2 down)
 
 void main()
 {
-    is_needed = !is_backdrop || int(texelFetch(front_status, ivec2(gl_FragCoord), 0).r) == DISOCCLUDED;
+    is_needed = MARCH == 0 || !is_backdrop || int(texelFetch(front_status, ivec2(gl_FragCoord), 0).r) == DISOCCLUDED;
     if (!shade())
         discard;
     colour = vec4(light, alpha);

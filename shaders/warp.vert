@@ -34,7 +34,8 @@ void main()
         mixed_bend[channel] = fetched(mixed_bends_and_ranges, texel).xy;
         known[channel] = is_triangle_known(channel, upper_left, corner / 3);
     }
-    Cell of_cell = cell_at(mixed_bends_and_ranges, upper_left), front = cell_at(front_ranges, upper_left);
+    Cell of_cell = cell_at(mixed_bends_and_ranges, upper_left);
+    Cell front = MARCH == 0 ? of_cell : cell_at(front_ranges, upper_left);  // only marched cells show a backdrop
     range = of_cell.range;
     samples_per_axis = of_cell.samples_per_axis;
     filled = of_cell.is_filled ? 1.0 : 0.0;

@@ -50,7 +50,8 @@ class TextureLayer:
             row that come first in memory, OpenGL's lower left corner. All of it if None.
 
     Raises:
-        BadInputError: `texture` is neither, layer or level is not a whole number from 0, or `rect_px` is no rectangle.
+        BadInputError: `texture` is neither, layer or level is not a whole number from 0, or `rect_px` is not a
+            rectangle.
     """
 
     texture: Any

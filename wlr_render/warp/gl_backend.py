@@ -60,12 +60,12 @@ class GlEye:
         self._warp = GlWarp(context, len(channels), self._encoder)
         self._warp_of_sources = GlWarp(context, len(channels), self._encoder)  # draws pull maps of red and blue
         self._readbacks = ReadbackRing(context)
-        # Two pictures are kept in turn.
+        # Two sets of textures take pictures in turn where the last one is kept.
         self._imports = [PictureImport(context) for _ in range(1 + keeps_last_picture)]
         self._keeps_last_picture = keeps_last_picture
         self._pictures: list[WarpedPicture] = []  # the widest first
-        self._views: list[View] = []  # of the newest picture, and of the last one if it is kept
-        self._last_picture: WarpedPicture | None = None
+        self._view: View | None = None  # of the newest picture
+        self._last: tuple[WarpedPicture, View] | None = None  # the picture before it, if it is kept
         self._import_insets: list[PictureImport] = []
         self._import_overlays: dict[int, OverlayImport] = {}
         self._overlays: dict[int, Overlay] = {}
@@ -81,9 +81,9 @@ class GlEye:
         else:
             image = self._imports[-1].take(view.camera, colour, depth, stored, rows, stored_colour)
             self._imports = self._imports[::-1]
-        if self._keeps_last_picture and self._pictures:
-            self._last_picture = self._pictures[0]
-        self._views = [view, *self._views[:1]]
+        if self._keeps_last_picture and self._view is not None:
+            self._last = self._pictures[0], self._view
+        self._view = view
         self._pictures = [WarpedPicture(image, self._plan.samples_per_axis)]
 
     def is_drawn_whole(self, view: View) -> bool:
@@ -158,18 +158,19 @@ class GlEye:
 
         The poses by row are one (4, 4), or (grid rows, 4, 4).
         """
-        assert self._pictures, "the compositor checks that the eye is submitted"
+        assert self._view is not None, "the compositor checks that the eye is submitted"
         self.generation += 1
 
         def seen_from(view: View) -> tuple[FloatArray, list[SeenOverlay]]:
             moved = image_from_ray_map(view, viewpoint, self._plan.device_from_camera, world_from_device_by_row)
             return moved, self.seen_overlays(view, world_from_device)
 
-        last, backdrop = self._last_picture, None
-        has_alpha = self._pictures[0].image.has_alpha
-        if last is not None and not last.image.is_overwritten() and last.image.has_alpha == has_alpha:
-            backdrop = Backdrop(last, *seen_from(self._views[1]))
-        moved, overlays = seen_from(self._views[0])
+        backdrop = None
+        if self._last is not None:
+            (last, last_view), has_alpha = self._last, self._pictures[0].image.has_alpha
+            if not last.image.is_overwritten() and last.image.has_alpha == has_alpha:
+                backdrop = Backdrop(last, *seen_from(last_view))
+        moved, overlays = seen_from(self._view)
         return self._composed(self._pictures, viewpoint, moved, target, with_source, overlays, backdrop)
 
     def prepare(self, framebuffer: gl.Framebuffer, overlays: int, insets: bool) -> None:

@@ -30,8 +30,15 @@ WARP_CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
-    """Outputs of `cells.frag` for a picture, and the bounds of the picture's depths."""
+class WarpCells:
+    """Outputs of `cells.frag` for a picture, and the bounds of the picture's depths.
+
+    Attributes:
+        paths: at each point of the grid, the place in the picture at infinity, and its shift per inverse depth.
+        bends: second differences of the places, along the rows and along the columns.
+        mixed_bends_and_ranges: mixed differences, and the bounds of the inverse depth with `cell_notes.glsl`.
+        ranges: bounds of the picture's inverse depths.
+    """
 
     paths: gl.Texture
     bends: gl.Texture
@@ -54,8 +61,8 @@ class GlCells:
         image_from_ray_map: FloatArray,
         display_size_px: tuple[int, int],
         is_inset: bool,
-        inset: Cells | None,
-    ) -> Cells:
+        inset: WarpCells | None,
+    ) -> WarpCells:
         """Find the cells of a picture, which may be an inset, and may have one."""
         ranges = self._ranges.of(image)
         warp_grid = ray_maps[0].warp_grid
@@ -82,4 +89,4 @@ class GlCells:
         gl.set_uniforms(program, size_px=tuple(map(float, size_px)), display_px_per_cell=per_cell)
         self._filling.fill(cells)
         paths, bends, mixed_bends_and_ranges = cells.textures
-        return Cells(paths, bends, mixed_bends_and_ranges, ranges)
+        return WarpCells(paths, bends, mixed_bends_and_ranges, ranges)

@@ -15,7 +15,7 @@ from wlr_render.gl import gl
 from wlr_render.gl.readback import read_rgb
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.srgb import decode_srgb
-from wlr_render.warp.gl_cells import MAX_OVERLAYS, WARP_CONSTANTS, Cells, GlCells
+from wlr_render.warp.gl_cells import MAX_OVERLAYS, WARP_CONSTANTS, GlCells, WarpCells
 from wlr_render.warp.gl_overlay import SeenOverlay
 from wlr_render.warp.gl_panel import SRGB_ENCODER, PanelEncoder
 from wlr_render.warp.gl_ray_maps import RayTexture
@@ -227,7 +227,8 @@ class GlWarp:
             for program, run in self._runs(target, ray_maps[0].warp_grid, bool(overlays)):
                 self._set(program, picture, front, overlays or None, uniforms)
                 run()
-            if backdrop is not None and isinstance(target, gl.RenderTarget):
+            if backdrop is not None:
+                assert isinstance(target, gl.RenderTarget), "a backdrop reads the status of the pictures before it"
                 program, run = self._runs(self._without_status(target), ray_maps[0].warp_grid, bool(overlays))[-1]
                 uniforms |= {"is_inset": False}
                 over = backdrop.overlays if overlays else None
@@ -247,11 +248,11 @@ class GlWarp:
         ray_maps: Sequence[RayTexture],
         image_from_ray_map: FloatArray,
         size_px: tuple[int, int],
-    ) -> list[Cells]:
+    ) -> list[WarpCells]:
         while len(self._cells) < len(pictures):
             ranges = GlDepthRanges(self._context) if self._cells else self._ranges
             self._cells.append(GlCells(self._context, self._channels, ranges))
-        cells: list[Cells] = []  # the sharpest picture comes first: a wider picture's cells depend on it
+        cells: list[WarpCells] = []  # the sharpest picture comes first: a wider picture's cells depend on it
         for k in reversed(range(len(pictures))):
             drawn = pictures[k].image, ray_maps, image_from_ray_map, size_px
             cells.insert(0, self._cells[k].draw(*drawn, is_inset=k > 0, inset=cells[0] if cells else None))
@@ -296,10 +297,10 @@ class GlWarp:
         self,
         program: gl.Program | gl.ComputeShader,
         picture: WarpedPicture,
-        cells: Cells,
+        cells: WarpCells,
         overlays: Sequence[SeenOverlay] | None,
         uniforms: dict[str, Any],
-        front: Cells | None = None,
+        front: WarpCells | None = None,
         front_status: gl.Texture | None = None,
     ) -> None:
         """Give a program the textures and uniforms of a picture; overlays are None for a program without them.
