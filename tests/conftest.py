@@ -189,7 +189,7 @@ def gl_context(request: pytest.FixtureRequest) -> Iterator[GlContext]:
     with context.drawing() as ctx:
         assert ctx.error == "GL_NO_ERROR"
     yield context
-    with vars(context)["_owner"].entered(third_party=False):
+    with vars(context)["_owner"].entered():
         assert ctx.error == "GL_NO_ERROR"
 
 

@@ -23,7 +23,7 @@ from wlr_render.bench.bench import Bench
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.extras import install_command
-from wlr_render.gl.native_contexts import OsMesaContext
+from wlr_render.gl.native_contexts import OsMesaBinding
 from wlr_render.jobs.frame_plan import motion_of, planned_frames
 from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.render_options import RenderOptions
@@ -167,7 +167,7 @@ def test_without_its_library_an_example_ends_with_the_command(name: str, library
 @pytest.mark.gl
 def test_the_plug_in_works_without_egl_too(tmp_path: Path) -> None:
     try:
-        OsMesaContext.library()
+        OsMesaBinding()
     except OSError as error:
         pytest.skip(f"libosmesa6 is not installed ({error}).")
     run("07_plug_into_pyrender", tmp_path, PYOPENGL_PLATFORM="osmesa")

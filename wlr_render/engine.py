@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # imports in the order of the API reference
     from wlr_render.warp.frame_handle import FrameHandle as FrameHandle
     from wlr_render.warp.gpu_image import GpuImage as GpuImage
     from wlr_render.warp.warp import WarpStatus as WarpStatus
-    from wlr_render.gl.host_checks import GlError as GlError, PendingGlErrorWarning as PendingGlErrorWarning
+    from wlr_render.gl.gl_errors import GlError as GlError
     from wlr_render.errors import MissingGlError as MissingGlError
     from wlr_render.warp.stored_picture import DepthKind as DepthKind, Rows as Rows, StoredColour as StoredColour
     from wlr_render.gl.framebuffers import TextureLayer as TextureLayer

@@ -9,7 +9,7 @@ import ctypes
 import mmap
 import platform
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import glcontext
@@ -17,7 +17,7 @@ import moderngl
 
 from wlr_render.errors import BadInputError
 from wlr_render.gl import gl
-from wlr_render.gl.native_contexts import CurrentContext
+from wlr_render.gl.native_contexts import CurrentContext, NativeContext
 
 _SIZE = 1 << 20
 _FUNCTION_BYTES = 64
@@ -95,19 +95,21 @@ class GlCalls:
     @contextlib.contextmanager
     def counted(self) -> Iterator[None]:
         """Count functions that are looked up in this block, also when they are called after it."""
-        load, openers = CurrentContext.load_opengl_function, dict(gl._OPENERS)
-        calls = self
-
-        def counting(self: CurrentContext, name: str) -> int:
-            return calls.address(name, load(self, name))
-
-        CurrentContext.load_opengl_function = counting  # type: ignore[method-assign]
+        openers = dict(gl._OPENERS)
+        loaders: tuple[Any, ...] = CurrentContext, NativeContext
+        before = [loader.load_opengl_function for loader in loaders]
+        for loader, load in zip(loaders, before, strict=True):
+            loader.load_opengl_function = self._counting(load)
         gl._OPENERS["egl"] = lambda: _opened(_CountedEgl(self))
         try:
             yield
         finally:
-            CurrentContext.load_opengl_function = load  # type: ignore[method-assign]
+            for loader, load in zip(loaders, before, strict=True):
+                setattr(loader, "load_opengl_function", load)  # noqa: B010
             gl._OPENERS.update(openers)
+
+    def _counting(self, load: Callable[[Any, str], int]) -> Callable[[Any, str], int]:
+        return lambda loader, name: self.address(name, load(loader, name))
 
     def _each(self) -> Iterator[tuple[ctypes.c_uint64, ctypes.c_uint64, int]]:
         return (each for found in self._functions.values() for each in found)

@@ -19,9 +19,9 @@ from wlr_render.warp.stored_picture import DepthKind, StoredDepth
 
 WAYS = {
     "own": "own context",
-    "kept": "adopted context, state kept by each call",
-    "block": "adopted context, state kept once a frame",
-    "clean": "adopted context, clean host",
+    "shared": "context that shares with the host's, each call switches to it",
+    "block": "context that shares with the host's, one switch a frame",
+    "clean": "the context of a clean host",
 }
 """Ways of using a compositor, with their names in the table."""
 

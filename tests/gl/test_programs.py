@@ -63,7 +63,7 @@ def test_textures_are_bound_anew_in_each_block(
         texture = gl_context.target((2, 2), 4, "f1")
         target = gl_context.framebuffer([texture])
         copying(green, target)
-    with vars(gl_context)["_owner"].entered(third_party=False):
+    with vars(gl_context)["_owner"].entered():
         red.use(0)  # as a host does between our calls
     with gl_context.drawing():
         copying(green, target)

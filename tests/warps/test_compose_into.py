@@ -18,7 +18,7 @@ from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.gl.context import GlContext
 from wlr_render.gl.framebuffers import TextureLayer
-from wlr_render.gl.native_contexts import OsMesaContext
+from wlr_render.gl.native_contexts import OsMesaBinding
 from wlr_render.mappings import Eye
 from wlr_render.warp.compositor import Compositor
 
@@ -296,9 +296,10 @@ def test_what_went_elsewhere_is_not_fetched(theirs: moderngl.Context, one_eye: C
 
 def test_a_window_is_drawn_to_by_its_number(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
     try:
-        window = OsMesaContext()
+        window = OsMesaBinding().opened()
     except OSError as error:
         pytest.skip(f"libosmesa6 is not installed ({error}).")
+    window.make_current()
     size = 16, 16  # of an OSMesa context's own picture
     made = compositor(flat_image_headset, size, context="current")
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))

@@ -1,18 +1,19 @@
 """The intermediate image drawn by pyrender: glTF's metallic-roughness materials instead of our Lambert shading.
 
 Geometry agrees with `gl_raster.GlRaster`; colours differ by design (gloss, and a gamma of 2.2 for sRGB). pyrender opens
-neither a window nor a context here: its renderer draws in our context or an adopted one, and `gl.GlContext.drawing`
-clears up the switches that it leaves on.
+neither a window nor a context here: its renderer draws in our context, and `gl.GlContext.drawing` clears up the
+switches that it leaves on.
 """
 
 import contextlib
 import ctypes
 import os
 import sys
+import weakref
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,15 +38,14 @@ _BRDF_NORMALISATION = np.pi  # pyrender divides albedo by pi, our shading model 
 
 
 class PyrenderDrawing:
-    """Draws a caller's pyrender scene from any view, in an own or an adopted context.
+    """Draws a caller's pyrender scene from any view.
 
-    What it loads is freed with the context. A pyrender mesh lives in one context, and a renderer of pyrender's refuses
-    one that it has not loaded itself: a caller who draws the scene with a renderer of his own does so first, and adopts
-    its context.
+    What it loads is freed with the context. A pyrender mesh lives in one context: a caller who also draws the scene
+    with a renderer of his own makes it twice.
 
     Raises:
         BadInputError: the node has no camera or is not in the scene, or PyOpenGL already serves another kind of context
-            in this process.
+            in this process; or, when it draws, a mesh that was loaded in another context.
     """
 
     def __init__(self, context: gl.GlContext, graph: Any, camera_node: Any) -> None:
@@ -179,11 +179,14 @@ def _renderer(pyrender: Any, loader: "_Loader", bind_target: Callable[[], None])
 
 
 class _Loader:
-    """Loads a scene's meshes and textures into the context, unless a caller's renderer has loaded them."""
+    """Loads a scene's meshes and textures into the context."""
+
+    _in_contexts: ClassVar[weakref.WeakKeyDictionary[gl.GlContext, weakref.WeakSet[Any]]] = weakref.WeakKeyDictionary()
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context, self._levels = context, MipLevels(context)
         self._loaded: set[Any] = set()
+        self._in_context = self._in_contexts.setdefault(context, weakref.WeakSet())
 
     def __call__(self, graph: Any) -> None:
         primitives = {primitive for mesh in graph.meshes for primitive in mesh.primitives}
@@ -191,6 +194,12 @@ class _Loader:
         for thing in self._loaded - wanted:
             thing.delete()
         missing = {thing for thing in wanted if not thing._in_context()}
+        if not self._context.host_is_clean and wanted - missing - set(self._in_context):
+            raise BadInputError(
+                "A mesh of the pyrender scene has been loaded by another renderer, and pyrender binds meshes to "
+                "contexts: make the scene a second time for PyrenderDrawing."
+            )
+        self._in_context.update(missing)
         # pyrender uploads rows of any length and leaves their alignment as it is.
         self._context.function("glPixelStorei", ctypes.c_uint, ctypes.c_int)(_UNPACK_ALIGNMENT, 1)
         for thing in missing:

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.gl.host_checks import ErrorReader, GlError, error_name
+from wlr_render.gl.gl_errors import ErrorReader, GlError, error_name
 from wlr_render.gl.native_contexts import CurrentContext
-from wlr_render.gl.ownership import ContextOwner
+from wlr_render.gl.ownership import ContextOwner, free_dropped
 from wlr_render.gl.programs import COMPUTE_VERSION, forget_textures, pass_source, shader_source
 
 Texture = moderngl.Texture
@@ -45,15 +45,13 @@ _TEXTURE_2D, _INTERNAL_FORMAT = 0x0DE1, 0x1003
 class GlContext:
     """An OpenGL context and its shader programs; a context manager that releases it.
 
-    Several may live in one process: each `drawing` block makes its own current, and afterwards the previous one. An
-    adopted one is made current by the program that it belongs to, which gets it back from each block as it was.
+    Several may live in one process: each `drawing` block makes its own current, and afterwards the previous one.
 
     Attributes:
-        backend: "egl", "osmesa", or an adopted context's platform.
+        backend: "egl", "osmesa", or the platform of an adopted context.
         renderer: name of what draws, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)".
         largest_side_px: limit of OpenGL on a texture's or framebuffer's width and height.
-        host_is_clean: whether the host has promised OpenGL's default state, see `adopt_context`.
-        names_version: counts the calls of `forget_names`.
+        host_is_clean: whether this is the host's own context, in which it promises OpenGL's default state.
         computes: whether the warp and its passes run as compute shaders: a GPU with OpenGL 4.3. Software renderers
             compute slowly.
     """
@@ -66,7 +64,7 @@ class GlContext:
         caller: moderngl.Context | None = None,
         host_is_clean: bool = False,
     ) -> None:
-        """Wrap ModernGL's context of the current one; `caller` is another of ModernGL's for the same."""
+        """Wrap ModernGL's context of the current one; `caller` is the host's own of ModernGL."""
         self._ctx, self._current, self._owner, self._caller = ctx, current, owner, caller
         self._objects: weakref.WeakSet[Any] = weakref.WeakSet()
         # Objects that Python drops are freed in the next drawing block, when this context is sure to be current.
@@ -74,7 +72,7 @@ class GlContext:
         self._programs: dict[tuple[object, ...], Program] = {}
         self._compute_programs: dict[tuple[object, ...], ComputeShader] = {}
         self._errors = ErrorReader(current)
-        self.host_is_clean, self.names_version = host_is_clean, 0
+        self.host_is_clean = host_is_clean
         self._depth, self._switched = 0, False
         self._made_objects = False  # a clean host's errors are read only in blocks that make objects
         self._bind = current.function("glBindFramebuffer", *[ctypes.c_uint] * 2)
@@ -82,7 +80,7 @@ class GlContext:
         self._no_vertices: dict[int, VertexArray] = {}
         self._released = False
         self.backend = current.platform
-        with owner.entered(third_party=False):
+        with owner.entered():
             self.renderer = str(ctx.info["GL_RENDERER"])
             self.largest_side_px = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         self.computes = ctx.version_code >= COMPUTE_VERSION and not self.is_software
@@ -104,27 +102,26 @@ class GlContext:
     def drawing(self, third_party: bool = False) -> Iterator[moderngl.Context]:
         """Open a block of OpenGL calls: this context current, all switches off, errors raised at the end.
 
-        Other users of OpenGL in the process leave their context current and blending on, and ModernGL would then
-        draw silently wrong pixels.
-
         Args:
-            third_party: other software draws in the block, so that more of an adopted context's state has to be kept.
+            third_party: other software draws in the block, which may leave switches on.
 
         Raises:
             GlError: a call in the block failed.
-            BadInputError: it has been released, or an adopted context is not current.
+            BadInputError: it has been released, or cannot be made current on this thread.
         """
         if self._released:
             raise BadInputError("the OpenGL context has been released with all its pictures; read them before release.")
-        with self._owner.entered(third_party):
+        with self._owner.entered():
             outermost = not self._depth
             if outermost and not self.host_is_clean:
-                self.take_error()
                 self._ctx.enable_only(moderngl.NOTHING)
-            _free_dropped(self._ctx)
+            free_dropped(self._ctx)
             self._depth, self._switched = self._depth + 1, self._switched or third_party
             try:
                 yield self._ctx
+            except BaseException:
+                self.take_error()
+                raise
             finally:
                 self._depth -= 1
                 if self._switched:
@@ -140,15 +137,34 @@ class GlContext:
                     pending = "; or the host had it pending before" if self.host_is_clean else ""
                     raise GlError(f"OpenGL reports {error_name(error)} ({self.renderer}){pending}.")
 
+    def host(self) -> contextlib.AbstractContextManager[None]:
+        """Return a block, in a drawing block, for the framebuffers of the program whose context was adopted.
+
+        Framebuffers are not shared between contexts. What the block binds is restored; see `ContextOwner.host`.
+
+        Raises:
+            BadInputError: the adopted context was not current on this thread before the drawing block.
+        """
+        return self._owner.host()
+
     def function(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
         """Look up an OpenGL function that ModernGL hides, with `ctypes` types; call it in a drawing block."""
         return self._current.function(name, *argument_types, result=result)
 
     def has(self, thing: Texture | TextureArray | Framebuffer | Buffer) -> bool:
-        """Return whether the object was made in this context, by this library or by the context's program."""
+        """Return whether the object was made in this context or in the one that was adopted."""
         if thing.ctx is self._ctx or thing.ctx is self._caller:
             return True
         return not isinstance(thing.ctx.mglo, moderngl.InvalidObject) and self._owner.is_same_as(thing.ctx)
+
+    def is_ours(self, thing: Framebuffer) -> bool:
+        """Return whether the object was made in this very context."""
+        return bool(thing.ctx is self._ctx)
+
+    @property
+    def has_host(self) -> bool:
+        """Whether another program's context shares textures with this one."""
+        return self._owner.has_host
 
     def take_error(self) -> int:
         """Return the oldest error that OpenGL holds (0: none), after which it holds none; call it in a drawing block.
@@ -157,24 +173,6 @@ class GlContext:
             GlError: the context is lost.
         """
         return self._errors.take()
-
-    def check_host_is_clean(self) -> None:
-        """Check that the host is clean; call this where the compositor would be called, e.g. in a test.
-
-        Raises:
-            BadInputError: some state is not OpenGL's default; the sentence names the calls that set it. Or the context
-                is not current.
-        """
-        odd = self._owner.odd_values()  # outside any drawing block, which would set the defaults
-        if odd:
-            raise BadInputError(
-                f"The host is not clean: {', '.join(odd)} set other values than OpenGL's defaults; reset them before "
-                "you call the compositor, or leave host_state at 'kept'."
-            )
-
-    def forget_names(self) -> None:
-        """Read framebuffers and textures that a clean host gives by number anew: their numbers may have been reused."""
-        self.names_version += 1
 
     def program(self, vertex: str, fragment: str, /, **constants: float) -> Program:
         """Return the program of two files in shaders/, compiled once for each set of constants (`#define NAME value`).
@@ -210,7 +208,7 @@ class GlContext:
     def compute(self, program: ComputeShader, textures: Sequence[Texture]) -> None:
         """Run a compute shader for each texel of textures that `target` made, its images 0, 1 and so on.
 
-        `gl_state` keeps three image units of a host: give at most three. What comes after sees what it has written.
+        What comes after sees what it has written.
         """
         for unit, texture in enumerate(textures):
             texture.bind_to_image(unit, read=False, write=True, format=_RGB10_A2 if texture.extra == _RGB10_A2 else 0)
@@ -341,13 +339,13 @@ class GlContext:
         self._ctx.depth_func = "<="
 
     def release(self) -> bool:
-        """Destroy an own context with its objects; in an adopted one, only the objects made here.
+        """Destroy the context with its objects; of a clean host's context only the objects made here.
 
         Returns:
-            Whether it is released: not, with a RuntimeWarning, while an adopted context is not current on this thread.
+            Whether it is released: not, with a RuntimeWarning, while a clean host's context is not current here.
         """
         caller_is_gone = self._caller is not None and isinstance(self._caller.mglo, moderngl.InvalidObject)
-        is_gone = caller_is_gone and not self._current.is_current()
+        is_gone = self.host_is_clean and caller_is_gone and not self._current.is_current()
         if not self._released and (is_gone or self._freed()):
             self._programs.clear()
             self._compute_programs.clear()
@@ -369,11 +367,3 @@ class GlContext:
         self._objects.add(made)
         self._made_objects = True
         return made
-
-
-def _free_dropped(ctx: moderngl.Context) -> None:
-    """Like `Context.gc`, but skips objects that were already released."""
-    while ctx.objects:
-        dropped = ctx.objects.popleft()
-        if not isinstance(dropped, moderngl.InvalidObject):
-            dropped.release()

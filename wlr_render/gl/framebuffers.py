@@ -4,6 +4,7 @@ An image is one layer and level of a texture, or a renderbuffer. We attach it to
 read buffer, draw buffers and attachments of the caller's framebuffers stay untouched.
 """
 
+import contextlib
 import ctypes
 import weakref
 from collections import OrderedDict
@@ -31,7 +32,8 @@ _BINDINGS = dict(zip((*_TARGETS, _CUBE_MAP), (0x8069, 0x8C1D, 0x9104, 0x9105, 0x
 _LEVELS = 16  # mip levels of a side of 32768 pixels, the longest of any driver
 _LAYERS = 0x8071  # GL_TEXTURE_DEPTH
 _WIDTH, _HEIGHT, _RENDERBUFFER_WIDTH, _RENDERBUFFER_HEIGHT = 0x1000, 0x1001, 0x8D42, 0x8D43
-_COMPLETE = 0x8CD5
+_COMPLETE, _NEAREST = 0x8CD5, 0x2600
+BLIT_COLOUR, BLIT_DEPTH = 0x4000, 0x0100  # GL_COLOR_BUFFER_BIT, GL_DEPTH_BUFFER_BIT
 _CACHED = 16
 """Sources or targets that are remembered: four swap chains of four images."""
 
@@ -48,6 +50,8 @@ class TextureLayer:
         level: mip level; the picture has that level's size.
         rect_px: (x, y, width, height) of the picture in it, as `imageRect` of XrSwapchainSubImage: from the column and
             row that come first in memory, OpenGL's lower left corner. All of it if None.
+
+    OpenGL is asked once about an object of this class that holds a name: make a new one for a new texture.
 
     Raises:
         BadInputError: `texture` is neither, layer or level is not a whole number from 0, or `rect_px` is not a
@@ -142,25 +146,49 @@ class FramebufferQueries:
             self._functions[name] = self._context.function(name, *argument_types, result=result)
         return self._functions[name]
 
-    def exists(self, kind: str, number: int) -> bool:
-        """Return whether a number names a "Framebuffer" object or a "Texture"; 0, the window's, does not."""
-        return 0 < number < 1 << 32 and bool(self.gl(f"glIs{kind}", _UINT, result=ctypes.c_ubyte)(number))
+    def is_texture(self, number: int) -> bool:
+        """Return whether a number names a texture."""
+        return 0 < number < 1 << 32 and bool(self.gl("glIsTexture", _UINT, result=ctypes.c_ubyte)(number))
 
     def bind(self, number: int, target: int = BOTH) -> None:
-        """Bind a framebuffer object, or with 0 the window; the other methods concern it."""
+        """Bind a framebuffer object; the other methods concern it."""
         self.gl("glBindFramebuffer", _UINT, _UINT)(target, number)
+
+    def images_of(self, framebuffer: Any, points: Sequence[int]) -> "list[Image | None]":
+        """Return the images that are attached to a framebuffer of the caller, ModernGL's or by its number.
+
+        Raises:
+            BadInputError: no such framebuffer object, or an incomplete one; a whole array of layers is attached, or a
+                layer of a multisampled array, which Mesa does not name; or as `GlContext.host`.
+        """
+        number = int(framebuffer if is_number(framebuffer) else framebuffer.glo)
+        is_ours = not is_number(framebuffer) and self._context.is_ours(framebuffer)
+        with contextlib.nullcontext() if is_ours else self._context.host():
+            exists = 0 < number < 1 << 32 and self.gl("glIsFramebuffer", _UINT, result=ctypes.c_ubyte)(number)
+            if not exists:
+                raise BadInputError(
+                    f"number {number} is no framebuffer object of the OpenGL context; give one that is, or a texture."
+                )
+            self.bind(number)
+            if not self.is_complete():
+                raise BadInputError(f"the framebuffer {number} is incomplete; give one with an RGBA8 texture.")
+            found = [self._image(point) for point in points]
+            samples = self.integer(_SAMPLES)
+        for image in found:
+            if image is None or image.is_renderbuffer or image.layer or not samples:
+                continue
+            if self._with_texture(_MULTISAMPLED_ARRAY, image.name, lambda: True):
+                raise BadInputError(
+                    "the framebuffer has a layer of a multisampled array texture, and drivers do not say which one; "
+                    "give it as TextureLayer(texture, layer=0)."
+                )
+        return found
 
     def is_complete(self) -> bool:
         """Return whether the framebuffer is complete."""
         return bool(self.gl("glCheckFramebufferStatus", _UINT, result=_UINT)(BOTH) == _COMPLETE)
 
-    def image(self, point: int) -> Image | None:
-        """Return the image that is attached there.
-
-        Raises:
-            BadInputError: a whole array of layers is attached, or a layer of a multisampled array, which Mesa does not
-                name.
-        """
+    def _image(self, point: int) -> "Image | None":
         kind = self._of_attachment(point, _KIND)
         if kind not in (_TEXTURE, _RENDERBUFFER):
             return None
@@ -173,12 +201,19 @@ class FramebufferQueries:
                 "TextureLayer(texture, layer=0)."
             )
         level, layer, face = (self._of_attachment(point, enum) for enum in (_LEVEL, _LAYER, _FACE))
-        if not layer and self.integer(_SAMPLES) and self._with_texture(_MULTISAMPLED_ARRAY, name, lambda: True):
-            raise BadInputError(
-                "the framebuffer has a layer of a multisampled array texture, and drivers do not say which one; give "
-                "it as TextureLayer(texture, layer=0)."
-            )
         return Image(name, False, level, layer, face)
+
+    def made(self) -> int:
+        """Return a new framebuffer object of the context that is current."""
+        name = _UINT()
+        self.gl("glGenFramebuffers", _INT, ctypes.c_void_p)(1, ctypes.addressof(name))
+        return name.value
+
+    def copy(self, first_px: tuple[int, int], size: tuple[int, int], buffers: int) -> None:
+        """Copy pixels from the framebuffer bound to READ to the lower left corner of the one bound to DRAW."""
+        (x, y), (width, height) = first_px, size
+        blit = self.gl("glBlitFramebuffer", *[_INT] * 8, _UINT, _UINT)
+        blit(x, y, x + width, y + height, 0, 0, width, height, buffers, _NEAREST)
 
     def attach(self, point: int, image: Image) -> bool:
         """Attach an image to the framebuffer, and detach all others; returns whether it is complete then."""
@@ -278,34 +313,35 @@ def _two(read: Callable[..., None], *enums: int) -> tuple[int, int]:
 class ImageCache(Generic[_Made]):
     """Cache of objects that were made for the caller's last few textures and framebuffers.
 
-    A ModernGL object keeps its images while it lives. A number does not: another object may have it in the next frame,
-    so that a number is a key only where the caller promises not to reuse numbers.
+    A ModernGL object keeps its images while it lives, and so does a `TextureLayer`. A number alone does not: another
+    object may have it in the next frame, so that OpenGL is asked again for each.
     """
 
-    def __init__(self, context: gl.GlContext) -> None:
-        self._context = context
-        self._made: OrderedDict[tuple[object, ...], tuple[list[Any], int, _Made]] = OrderedDict()
+    def __init__(self) -> None:
+        self._made: OrderedDict[tuple[object, ...], tuple[list[Any], _Made]] = OrderedDict()
 
     def get(self, objects: list[Any], key: tuple[object, ...], make: Callable[[_Made | None], _Made]) -> _Made:
         """Return the result of `make` for the same objects and key.
 
         Args:
-            objects: ModernGL objects, or numbers.
+            objects: ModernGL objects, layers, or numbers.
             key: further numbers that matter.
             make: called with its previous result for the same numbers, which it may reuse; its exceptions are not
                 caught.
         """
-        full_key = (*(each if is_number(each) else each.glo for each in objects), *key)
-        found = self._made.get(full_key)
-        if found is not None and found[1] == self._context.names_version and self._is_same(found[0], objects):
+        owners = [_owner(each) for each in objects]
+        full_key = (*map(_number, objects), *key)
+        before, found = self._made.get(full_key, ([], None))
+        if found is not None and all(
+            old is not None and new is not None and old() is new for old, new in zip(before, owners, strict=True)
+        ):
             self._made.move_to_end(full_key)
-            return found[2]
-        made = make(None if found is None else found[2])
-        gone = [key for key, (owners, _, _) in self._made.items() if any(each and each() is None for each in owners)]
+            return found
+        made = make(found)
+        gone = [key for key, (kept, _) in self._made.items() if any(each and each() is None for each in kept)]
         for other in gone:  # our framebuffers would keep the memory of released textures
             del self._made[other]
-        owners = [None if is_number(each) else weakref.ref(each) for each in objects]
-        self._made[full_key] = owners, self._context.names_version, made
+        self._made[full_key] = [None if each is None else weakref.ref(each) for each in owners], made
         if len(self._made) > _CACHED:
             self._made.popitem(last=False)
         return made
@@ -314,11 +350,16 @@ class ImageCache(Generic[_Made]):
         """Forget everything."""
         self._made.clear()
 
-    def _is_same(self, owners: list[Any], objects: list[Any]) -> bool:
-        return all(
-            self._context.host_is_clean if owner is None else owner() is each
-            for owner, each in zip(owners, objects, strict=True)
-        )
+
+def _owner(given: Any) -> Any:
+    """Return the object that keeps the images of what a caller gave; None for a number."""
+    if isinstance(given, TextureLayer) and not is_number(given.texture):
+        return given.texture
+    return None if is_number(given) else given
+
+
+def _number(given: Any) -> int:
+    return int(given if is_number(given) else given.name if isinstance(given, TextureLayer) else given.glo)
 
 
 def fresh_framebuffer(context: gl.GlContext) -> gl.Framebuffer:

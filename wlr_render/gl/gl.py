@@ -27,11 +27,16 @@ from wlr_render.gl.context import Sampler as Sampler
 from wlr_render.gl.context import Texture as Texture
 from wlr_render.gl.context import TextureArray as TextureArray
 from wlr_render.gl.context import VertexArray as VertexArray
-from wlr_render.gl.gl_state import UNITS, GlState
-from wlr_render.gl.host_checks import ErrorReader
-from wlr_render.gl.host_checks import GlError as GlError
-from wlr_render.gl.native_contexts import CurrentContext, EglBinding, NoCurrentContextError, OsMesaContext
-from wlr_render.gl.ownership import AdoptedContext, OwnContext
+from wlr_render.gl.gl_errors import ErrorReader
+from wlr_render.gl.gl_errors import GlError as GlError
+from wlr_render.gl.native_contexts import (
+    BINDINGS,
+    CurrentContext,
+    NativeContext,
+    NoCurrentContextError,
+    OsMesaBinding,
+)
+from wlr_render.gl.ownership import Host, HostContext, OwnContext
 from wlr_render.gl.programs import GLSL_VERSION
 from wlr_render.gl.programs import bind_textures as bind_textures
 from wlr_render.gl.programs import set_array as set_array
@@ -40,6 +45,8 @@ from wlr_render.gl.programs import set_uniforms as set_uniforms
 
 _FRAMEBUFFER = 0x8D40
 _VERSION = divmod(GLSL_VERSION // 10, 10)
+UNITS = 12
+"""Texture units that are used in a clean host's context."""
 
 
 def is_srgb(texture: Texture) -> bool:
@@ -158,8 +165,7 @@ def open_context(backend: str = "auto") -> GlContext:
     reasons = []
     for name in _in_order() if backend == "auto" else (backend,):
         try:
-            # The buffer that an OSMesa context is current with is not known here: there is nothing to save.
-            save = EglBinding().save if name == "egl" else lambda: lambda: None
+            save = BINDINGS[name]().save
             restore = save()
             try:
                 with _default_context_kept():
@@ -179,45 +185,70 @@ def open_context(backend: str = "auto") -> GlContext:
 
 
 def adopt_context(context: moderngl.Context | None = None, host_is_clean: bool = False) -> GlContext:
-    """Adopt the OpenGL context of another program, e.g. a viewer's or pyrender's.
+    """Open a context that shares textures with another program's, e.g. a viewer's or pyrender's.
 
-    Each `drawing` block finds the context current and leaves its state as it was, up to what `gl_state` names. Neither
-    ModernGL's record of that state nor its settings change, because the blocks use a separate ModernGL context.
+    Nothing of the host's state is touched, whatever it is: each `drawing` block makes the new context current, and the
+    host's again.
 
     Args:
         context: ModernGL's, which is made current; None for the one that is current on this thread, whoever made it.
-        host_is_clean: whether the host promises OpenGL's default state when it enters a block, and relies on no binding
-            afterwards (docs/realtime.md has the list); blocks then neither read nor restore any state, and only those
-            that make objects, in the first frames, read errors.
+        host_is_clean: draw in the host's own context instead, where the driver cannot share. The host promises OpenGL's
+            default state when it enters a block, and relies on no binding afterwards (docs/realtime.md has the list);
+            only blocks that make objects, in the first frames, read errors.
 
     Raises:
-        MissingGlError: none is current, it has been released, or its version is below 4.1; it stays as it was.
-        BadInputError: a query that counts samples or primitives is active, or conditional rendering.
+        MissingGlError: none is current, it has been released, the driver does not share, or a clean host's version is
+            below 4.1; it stays as it was.
     """
     if context is not None:
         if isinstance(context.mglo, moderngl.InvalidObject):
             raise MissingGlError("The ModernGL context has been released: adopt one that is alive.")
-        _check_version(divmod(context.version_code // 10, 10))
         make_current: Callable[[], object] = context.__enter__
         make_current()
     try:
-        current = CurrentContext()
+        host = CurrentContext()
     except NoCurrentContextError as error:
         raise MissingGlError(
             f"{error}: make yours current before adopting it, or open one with context='egl'."
         ) from error
-    _check_version(current.version())
-    state = GlState(current)
-    loader: Any = current
-    with state.kept(third_party=True), _default_context_kept():
+    return _in_host(host, context) if host_is_clean else _beside(host, context)
+
+
+def _beside(host: CurrentContext, caller: moderngl.Context | None) -> GlContext:
+    try:
+        if host.platform not in BINDINGS:
+            raise OSError(f"no sharing with {host.platform.upper()}")
+        binding = BINDINGS[host.platform]()
+        native, restore = binding.shared(), binding.save()
+        try:
+            ctx, current = _wrapped(native), CurrentContext((host.platform,))
+        except ValueError:  # ModernGL wants a newer OpenGL
+            native.release()
+            raise
+        finally:
+            restore()
+    except (OSError, ValueError) as error:
+        major, minor = host.version()
+        raise MissingGlError(
+            f"No OpenGL 4.1 context opens that shares textures with yours of version {major}.{minor} ({error}): "
+            "promise OpenGL's default state with host_state='clean' (docs/realtime.md), or submit arrays to a "
+            "compositor with context='egl'."
+        ) from error
+    return GlContext(ctx, current, OwnContext(ctx, current, binding.save, Host(host)), caller)
+
+
+def _in_host(host: CurrentContext, caller: moderngl.Context | None) -> GlContext:
+    _check_version(host.version())
+    loader: Any = host
+    with _default_context_kept():
         # ModernGL queries the bound framebuffer's size as if its image were a plain texture: an OpenGL error if the
         # image has samples or layers.
-        current.function("glBindFramebuffer", *[ctypes.c_uint] * 2)(_FRAMEBUFFER, 0)
+        host.function("glBindFramebuffer", *[ctypes.c_uint] * 2)(_FRAMEBUFFER, 0)
         ctx = moderngl.create_context(require=GLSL_VERSION, context=loader)
-        ErrorReader(current).take()  # errors of ModernGL's own start are not the host's
+        ErrorReader(host).take()  # errors of ModernGL's own start are not the host's
     # ModernGL makes textures on its last unit unless told otherwise.
     ctx.default_texture_unit = UNITS - 1
-    return GlContext(ctx, current, AdoptedContext(current, state, ctx, host_is_clean), context, host_is_clean)
+    return GlContext(ctx, host, HostContext(ctx, host), caller, host_is_clean=True)
 
 
 def _check_version(found: tuple[int, int]) -> None:
@@ -239,6 +270,13 @@ def _default_context_kept() -> Iterator[None]:
         store.default_context = before
 
 
+def _wrapped(native: NativeContext) -> moderngl.Context:
+    loader: Any = native
+    native.make_current()
+    with _default_context_kept():
+        return moderngl.create_context(require=GLSL_VERSION, context=loader)
+
+
 def _open(**settings: Any) -> moderngl.Context:
     return moderngl.create_context(standalone=True, require=GLSL_VERSION, **settings)
 
@@ -250,5 +288,5 @@ def _in_order() -> list[str]:
 
 _OPENERS: dict[str, Callable[[], moderngl.Context]] = {
     "egl": lambda: _open(backend="egl"),
-    "osmesa": lambda: _open(context=OsMesaContext()),
+    "osmesa": lambda: _wrapped(OsMesaBinding().opened()),
 }

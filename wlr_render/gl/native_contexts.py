@@ -1,13 +1,21 @@
-"""OpenGL contexts of the platform: the one that is current on this thread, EGL's binding, and OSMesa's context."""
+"""OpenGL contexts of the platform: the current one, what is bound to a thread, and contexts that share textures."""
 
 import ctypes
 import ctypes.util
 from collections.abc import Callable, Iterable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 _MAJOR_VERSION, _MINOR_VERSION = 0x821B, 0x821C
-_EXTENSIONS, _EXTENSION_COUNT = 0x1F03, 0x821D
-_EGL_DRAW, _EGL_READ = 0x3059, 0x305A
+_INT, _POINTER = ctypes.c_int, ctypes.c_void_p
+_EGL_DRAW, _EGL_READ, _EGL_CONFIG_ID, _EGL_NONE = 0x3059, 0x305A, 0x3028, 0x3038
+_EGL_MAJOR, _EGL_MINOR, _EGL_PROFILE, _EGL_CORE = 0x3098, 0x30FB, 0x30FD, 1
+_EGL_LOST_AT_RESET = 0x31BD, 0x31BF  # the notification strategy of robust contexts
+_GLX_CONFIG_ID, _GLX_SCREEN = 0x8013, 0x800C
+_GLX_MAJOR, _GLX_MINOR, _GLX_PROFILE, _GLX_CORE = 0x2091, 0x2092, 0x9126, 1
+_RGBA, _UNSIGNED_BYTE, _OSMESA_TYPE = 0x1908, 0x1401, 0x23
+# OSMESA_FORMAT, OSMESA_PROFILE = OSMESA_CORE_PROFILE, OSMESA_CONTEXT_MAJOR_VERSION and _MINOR_VERSION.
+_OSMESA_ATTRIBUTES = (0x22, _RGBA, 0x33, 0x34, 0x36, 4, 0x37, 1, 0)
 
 # What the library is called, and its two functions. OSMesa comes last: within Mesa it takes EGL's context for its own.
 _PLATFORMS = {
@@ -38,8 +46,8 @@ class CurrentContext:
             if library is None:
                 continue
             _, current_name, address_name = _PLATFORMS[self.platform]
-            self._library, self._native_current = library, _pointer_function(library, current_name)
-            self._address_of = _pointer_function(library, address_name, ctypes.c_char_p)
+            self._library, self._native_current = library, _function(library, current_name)
+            self._address_of = _function(library, address_name, ctypes.c_char_p)
             self._native = self._native_current()
             if self._native:
                 return
@@ -56,18 +64,6 @@ class CurrentContext:
         read(_MAJOR_VERSION, ctypes.byref(numbers))
         read(_MINOR_VERSION, ctypes.byref(numbers, ctypes.sizeof(ctypes.c_int)))
         return numbers[0], numbers[1]
-
-    def has(self, version: tuple[int, int], extension: str) -> bool:
-        """Return whether the context has this version or the extension.
-
-        The address of a function tells neither: GLX and EGL return one for every name.
-        """
-        if self.version() >= version:
-            return True
-        count = ctypes.c_int()
-        self.function("glGetIntegerv", ctypes.c_uint, ctypes.c_void_p)(_EXTENSION_COUNT, ctypes.byref(count))
-        name = self.function("glGetStringi", ctypes.c_uint, ctypes.c_uint, result=ctypes.c_char_p)
-        return any(name(_EXTENSIONS, index) == extension.encode() for index in range(count.value))
 
     def function(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
         """Return an OpenGL function of this context, to be called while it is current."""
@@ -90,28 +86,64 @@ class CurrentContext:
         """Do nothing: the program that made the context destroys it."""
 
 
-class EglBinding:
-    """The EGL context that is current on the calling thread: saves it and makes it current again.
+@dataclass(frozen=True)
+class NativeContext:
+    """A context that this library opened, as ModernGL takes it."""
 
-    Raises:
-        OSError: libEGL is not installed.
-    """
+    address_of: Callable[[bytes], int | None]
+    make_current: Callable[[], object]
+    destroy: Callable[[], object]
 
-    def __init__(self) -> None:
-        library = _library("egl")
-        if library is None:
-            raise OSError("libEGL is not installed")
-        self._display = _pointer_function(library, "eglGetCurrentDisplay")
-        self._context = _pointer_function(library, "eglGetCurrentContext")
-        self._surface = _pointer_function(library, "eglGetCurrentSurface", ctypes.c_int)
-        make_current = ctypes.cast(library.eglMakeCurrent, ctypes.c_void_p).value or 0
-        self._make_current = ctypes.CFUNCTYPE(ctypes.c_uint, *[ctypes.c_void_p] * 4)(make_current)
+    def load_opengl_function(self, name: str) -> int:
+        """Return the address of an OpenGL function, 0 if it is missing."""
+        return self.address_of(name.encode()) or 0
+
+    def __enter__(self) -> "NativeContext":
+        self.make_current()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Stay current."""
+
+    def release(self) -> None:
+        """Destroy the context."""
+        self.destroy()
+
+
+class Binding(Protocol):
+    """What a platform has bound to the calling thread: a context and its surfaces."""
 
     def save(self) -> Callable[[], None]:
         """Save the current context and its surfaces; the returned function makes them current again.
 
         If no context is current now, or it has been destroyed by then, the returned function leaves none current.
         """
+
+    def shared(self) -> NativeContext:
+        """Return a new OpenGL 4.1 core context that shares textures with the current one, which stays current.
+
+        Raises:
+            OSError: the driver refuses.
+        """
+
+
+class EglBinding:
+    """EGL's `Binding`.
+
+    Raises:
+        OSError: libEGL is not installed.
+    """
+
+    def __init__(self) -> None:
+        library = _needed_library("egl")
+        self._display = _function(library, "eglGetCurrentDisplay")
+        self._context = _function(library, "eglGetCurrentContext")
+        self._surface = _function(library, "eglGetCurrentSurface", _INT)
+        self._make_current = _function(library, "eglMakeCurrent", *[_POINTER] * 4, result=ctypes.c_uint)
+        self._library = library
+
+    def save(self) -> Callable[[], None]:
+        """Save the current context, see `Binding`."""
         saved = self._display(), self._surface(_EGL_DRAW), self._surface(_EGL_READ), self._context()
 
         def restore() -> None:
@@ -119,6 +151,30 @@ class EglBinding:
                 self._make_current(self._display(), None, None, None)
 
         return restore
+
+    def shared(self) -> NativeContext:
+        """Return a new context, see `Binding`."""
+        display, host = self._display(), self._context()
+        find = _function(self._library, "eglChooseConfig", *[_POINTER] * 3, _INT, _POINTER)
+        query = _function(self._library, "eglQueryContext", _POINTER, _POINTER, _INT, _POINTER)
+        number, config, count = _INT(), _POINTER(), _INT()
+        query(display, host, _EGL_CONFIG_ID, ctypes.addressof(number))
+        if number.value:  # 0: of no configuration, and neither is ours
+            wanted = _numbers(_EGL_CONFIG_ID, number.value, _EGL_NONE)
+            find(display, wanted, ctypes.addressof(config), 1, ctypes.addressof(count))
+        create = _function(self._library, "eglCreateContext", *[_POINTER] * 4)
+        version = _EGL_MAJOR, 4, _EGL_MINOR, 1, _EGL_PROFILE, _EGL_CORE
+        # Contexts that share must agree on what a reset of the GPU does.
+        ours = create(display, config, host, _numbers(*version, _EGL_NONE)) or create(
+            display, config, host, _numbers(*version, *_EGL_LOST_AT_RESET, _EGL_NONE)
+        )
+        if not ours:
+            raise OSError("EGL refuses an OpenGL 4.1 context that shares with the one that is current")
+        destroy = _function(self._library, "eglDestroyContext", _POINTER, _POINTER)
+        load = _function(self._library, "eglGetProcAddress", ctypes.c_char_p)
+        return NativeContext(
+            load, lambda: self._make_current(display, None, None, ours), lambda: destroy(display, ours)
+        )
 
     def makes_current(self, make_current: Callable[[], object], current: CurrentContext) -> bool:
         """Return whether a function makes the given context current; then restore the context that was current."""
@@ -132,6 +188,106 @@ class EglBinding:
             restore()
 
 
+class GlxBinding:
+    """GLX's `Binding`; as `EglBinding`."""
+
+    def __init__(self) -> None:
+        library = self._library = _needed_library("glx")
+        names = "glXGetCurrentDisplay", "glXGetCurrentDrawable", "glXGetCurrentReadDrawable", "glXGetCurrentContext"
+        self._current = [_function(library, name) for name in names]
+        self._make_current = _function(library, "glXMakeContextCurrent", *[_POINTER] * 4)
+
+    def save(self) -> Callable[[], None]:
+        """Save the current context, see `Binding`."""
+        saved = [get() for get in self._current]
+
+        def restore() -> None:
+            if saved[-1]:
+                self._make_current(*saved)
+            elif self._current[-1]():
+                self._make_current(self._current[0](), None, None, None)
+
+        return restore
+
+    def shared(self) -> NativeContext:
+        """Return a new context, see `Binding`."""
+        display, _, _, host = (get() for get in self._current)
+        query = _function(self._library, "glXQueryContext", _POINTER, _POINTER, _INT, _POINTER)
+        number, screen, count, found = (_INT() for _ in range(4))
+        query(display, host, _GLX_CONFIG_ID, ctypes.addressof(number))
+        query(display, host, _GLX_SCREEN, ctypes.addressof(screen))
+        all_configs = _function(self._library, "glXGetFBConfigs", _POINTER, _INT, _POINTER)
+        first = all_configs(display, screen, ctypes.addressof(count))
+        attribute = _function(self._library, "glXGetFBConfigAttrib", _POINTER, _POINTER, _INT, _POINTER)
+        load = _function(self._library, "glXGetProcAddressARB", ctypes.c_char_p)
+        address = load(b"glXCreateContextAttribsARB")
+        ours = None
+        for config in (_POINTER * count.value).from_address(first) if first and address else ():
+            attribute(display, config, _GLX_CONFIG_ID, ctypes.addressof(found))
+            if not ours and found.value == number.value:
+                create = ctypes.CFUNCTYPE(_POINTER, _POINTER, _POINTER, _POINTER, _INT, _POINTER)(address)
+                version = _GLX_MAJOR, 4, _GLX_MINOR, 1, _GLX_PROFILE, _GLX_CORE
+                ours = create(display, config, host, 1, _numbers(*version, 0))
+        if not ours:
+            raise OSError("GLX refuses an OpenGL 4.1 context that shares with the one that is current")
+        destroy = _function(self._library, "glXDestroyContext", _POINTER, _POINTER)
+        return NativeContext(
+            load, lambda: self._make_current(display, None, None, ours), lambda: destroy(display, ours)
+        )
+
+
+class OsMesaBinding:
+    """OSMesa's `Binding`; as `EglBinding`. Its contexts draw to framebuffer objects, the shared ones, too."""
+
+    def __init__(self) -> None:
+        library = self._library = _needed_library("osmesa")
+        egl = _library("egl")
+        # Within Mesa OSMesa takes EGL's current context for its own.
+        self._other = _function(egl, "eglGetCurrentContext") if egl else lambda: None
+        self._current = _function(library, "OSMesaGetCurrentContext")
+        self._make_current = _function(library, "OSMesaMakeCurrent", _POINTER, _POINTER, *[_INT] * 3)
+
+    def save(self) -> Callable[[], None]:
+        """Save the current context, see `Binding`."""
+        host = None if self._other() else self._current()
+        width, height, pixel_format, kind, buffer = _INT(), _INT(), _INT(), _INT(), _POINTER()
+        if host:
+            read = _function(self._library, "OSMesaGetColorBuffer", *[_POINTER] * 5)
+            read(host, *map(ctypes.addressof, (width, height, pixel_format, buffer)))
+            _function(self._library, "OSMesaGetIntegerv", _INT, _POINTER)(_OSMESA_TYPE, ctypes.addressof(kind))
+
+        def restore() -> None:
+            if not self._other():
+                self._make_current(host, buffer, kind, width, height)
+
+        return restore
+
+    def shared(self) -> NativeContext:
+        """Return a new context, see `Binding`."""
+        return self.opened(self._current())
+
+    def opened(self, host: int | None = None) -> NativeContext:
+        """Return a new context, which shares with another one if it is given.
+
+        Raises:
+            OSError: the driver refuses.
+        """
+        create = _function(self._library, "OSMesaCreateContextAttribs", _POINTER, _POINTER)
+        ours, picture = create(_numbers(*_OSMESA_ATTRIBUTES), host), ctypes.create_string_buffer(16 * 16 * 4)
+        if not ours:
+            raise OSError("libOSMesa cannot open an OpenGL 4.1 context")
+        destroy = _function(self._library, "OSMesaDestroyContext", _POINTER)
+        return NativeContext(
+            _function(self._library, "OSMesaGetProcAddress", ctypes.c_char_p),
+            lambda: self._make_current(ours, ctypes.addressof(picture), _UNSIGNED_BYTE, 16, 16),
+            lambda: destroy(ours),
+        )
+
+
+BINDINGS: dict[str, Callable[[], Binding]] = {"egl": EglBinding, "glx": GlxBinding, "osmesa": OsMesaBinding}
+"""By platform; WGL has none."""
+
+
 def _library(platform: str) -> ctypes.CDLL | None:
     (name, file_name), *_ = _PLATFORMS[platform]
     try:
@@ -140,52 +296,18 @@ def _library(platform: str) -> ctypes.CDLL | None:
         return None
 
 
-def _pointer_function(library: ctypes.CDLL, name: str, *argument_types: Any) -> Callable[..., int | None]:
+def _needed_library(platform: str) -> ctypes.CDLL:
+    library = _library(platform)
+    if library is None:
+        raise OSError(f"lib{_PLATFORMS[platform][0][0]} is not installed")
+    return library
+
+
+def _function(library: ctypes.CDLL, name: str, *argument_types: Any, result: Any = _POINTER) -> Callable[..., Any]:
     address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
-    return ctypes.CFUNCTYPE(ctypes.c_void_p, *argument_types)(address or 0)
+    return ctypes.CFUNCTYPE(result, *argument_types)(address or 0)
 
 
-_RGBA, _UNSIGNED_BYTE = 0x1908, 0x1401
-# OSMESA_FORMAT, OSMESA_PROFILE = OSMESA_CORE_PROFILE, OSMESA_CONTEXT_MAJOR_VERSION and _MINOR_VERSION.
-_ATTRIBUTES = (0x22, _RGBA, 0x33, 0x34, 0x36, 4, 0x37, 1, 0)
-
-
-class OsMesaContext:
-    """An OpenGL 4.1 core context; drawing goes to framebuffer objects; its own picture is not used.
-
-    Raises:
-        OSError: libOSMesa is not installed, or it cannot open the context.
-    """
-
-    def __init__(self) -> None:
-        self._library = self.library()
-        self._library.OSMesaCreateContextAttribs.restype = ctypes.c_void_p
-        self._library.OSMesaGetProcAddress.restype = ctypes.c_void_p
-        attributes = (ctypes.c_int * len(_ATTRIBUTES))(*_ATTRIBUTES)
-        self._handle = ctypes.c_void_p(self._library.OSMesaCreateContextAttribs(attributes, None))
-        if not self._handle:
-            raise OSError("libOSMesa cannot open an OpenGL 4.1 context")
-        self._picture = ctypes.create_string_buffer(16 * 16 * 4)
-        self.__enter__()
-
-    @staticmethod
-    def library() -> ctypes.CDLL:
-        """Load libOSMesa, or raise OSError."""
-        return ctypes.CDLL(ctypes.util.find_library("OSMesa") or "libOSMesa.so.8")
-
-    def load_opengl_function(self, name: str) -> int:
-        """Return the address of an OpenGL function, 0 if it is missing."""
-        return self._library.OSMesaGetProcAddress(name.encode()) or 0
-
-    def __enter__(self) -> "OsMesaContext":
-        self._library.OSMesaMakeCurrent(self._handle, self._picture, _UNSIGNED_BYTE, 16, 16)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Stay current."""
-
-    def release(self) -> None:
-        """Destroy the context."""
-        if self._handle:
-            self._library.OSMesaDestroyContext(self._handle)
-            self._handle = ctypes.c_void_p(None)
+def _numbers(*values: int) -> Any:
+    """Return a list of attributes as C takes it."""
+    return (_INT * len(values))(*values)

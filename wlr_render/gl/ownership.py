@@ -1,4 +1,4 @@
-"""Ownership of an OpenGL context, our own or an adopted one: state handling around draws, and cleanup."""
+"""Ownership of an OpenGL context: when it is current, how it waits for a host's context, and cleanup."""
 
 import contextlib
 import ctypes
@@ -8,116 +8,73 @@ from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary
 
+import moderngl
+
 from wlr_render.errors import BadInputError, stacklevel_of_caller
-from wlr_render.gl.gl_state import GlState
 from wlr_render.gl.native_contexts import CurrentContext, EglBinding
+
+_UINT, _INT, _POINTER = ctypes.c_uint, ctypes.c_int, ctypes.c_void_p
+_READ, _DRAW = 0x8CA8, 0x8CA9  # GL_READ_FRAMEBUFFER, GL_DRAW_FRAMEBUFFER
+_BINDINGS = {_READ: 0x8CAA, _DRAW: 0x8CA6}
+_SWITCHES = 0x0C11, 0x8DB9  # GL_SCISSOR_TEST, GL_FRAMEBUFFER_SRGB: all else leaves copies of framebuffers alone
+_COMMANDS_COMPLETE, _NO_TIMEOUT = 0x9117, 0xFFFFFFFFFFFFFFFF
+_WAIT_S = 10.0
+"""How long a call waits for the call of another thread."""
 
 
 class ContextOwner(Protocol):
-    """Owner of an OpenGL context."""
+    """Owner of an OpenGL context.
 
-    def entered(self, third_party: bool) -> contextlib.AbstractContextManager[None]:
-        """Return a block in which the context is current; `third_party` as in `GlState.kept`."""
+    Attributes:
+        has_host: whether another program's context shares textures with it.
+    """
 
-    def odd_values(self) -> list[str]:
-        """Return the OpenGL calls of the host that have set values other than OpenGL's defaults."""
+    has_host: bool
+
+    def entered(self) -> contextlib.AbstractContextManager[None]:
+        """Return a block in which the context is current."""
+
+    def host(self) -> contextlib.AbstractContextManager[None]:
+        """Return a block, within `entered`, in which the framebuffers of the context's host may be bound."""
 
     def is_same_as(self, context: Any) -> bool:
-        """Return whether another ModernGL context wraps the same native context."""
+        """Return whether another ModernGL context wraps the host's native context."""
 
     def release(self, objects: list[Any]) -> bool:
         """Destroy the given ModernGL objects and all garbage-collected ones; return whether that was possible."""
 
 
-class OwnContext:
-    """A context that this library opened: each outermost block makes it current, and restores the previous one.
+class Host:
+    """The context of another program, which shares its textures with a context of ours."""
 
-    Between blocks it is current on no thread, so any thread may use it, one at a time.
-    """
-
-    def __init__(self, ctx: Any, current: CurrentContext, save: Callable[[], Callable[[], None]]) -> None:
-        """Wrap an opened context; `save` saves the context that is current, and returns the function to restore it."""
-        self._ctx, self._current, self._save = ctx, current, save
-        self._make_current: Callable[[], object] = ctx.__enter__
-        self._in_use = threading.RLock()
-
-    @contextlib.contextmanager
-    def entered(self, third_party: bool) -> Iterator[None]:
-        """Make the context current, and the previous one when the block ends; see `ContextOwner`.
-
-        Raises:
-            BadInputError: another thread is inside a block, or the context cannot be made current.
-        """
-        if not self._in_use.acquire(blocking=False):
-            raise BadInputError(
-                "Another thread is drawing in this OpenGL context: use a compositor or renderer from one thread at a "
-                "time."
-            )
-        with contextlib.ExitStack() as at_end:
-            at_end.callback(self._in_use.release)
-            if not self._current.is_current():
-                at_end.callback(self._save())
-                self._make_current()
-                if not self._current.is_current():
-                    raise BadInputError(
-                        "This library's OpenGL context cannot be made current on this thread: release the context that "
-                        "is current there, or adopt it (context='current')."
-                    )
-            yield
-
-    def odd_values(self) -> list[str]:
-        """Return an empty list: no host shares this context."""
-        return []
-
-    def is_same_as(self, context: Any) -> bool:
-        """Return False: nothing else wraps this context."""
-        return False
-
-    def release(self, objects: list[Any]) -> bool:
-        """Destroy the context with all its objects; the context that was current stays current."""
-        restore = self._save()
-        self._ctx.release()
-        restore()
-        return True
-
-
-class AdoptedContext:
-    """A context of another program: each block leaves its state unchanged, and it is never destroyed here."""
-
-    def __init__(self, current: CurrentContext, state: GlState, ctx: Any, host_is_clean: bool) -> None:
-        """Wrap an adopted context; with a clean host only blocks of third parties save and restore its state."""
-        self._current, self._state, self._ctx, self._host_is_clean = current, state, ctx, host_is_clean
-        self._inside = False
+    def __init__(self, current: CurrentContext) -> None:
+        """Wrap the context that is current."""
+        self._current = current
+        self.is_current = current.is_current
+        self._get = current.function("glGetIntegerv", _UINT, _POINTER)
+        self._bind = current.function("glBindFramebuffer", _UINT, _UINT)
+        self._is_on = current.function("glIsEnabled", _UINT, result=ctypes.c_bool)
+        self._turn = [current.function(f"gl{name}", _UINT) for name in ("Disable", "Enable")]
         self._same: WeakKeyDictionary[Any, bool] = WeakKeyDictionary()
-        self._set_depth_mask = current.function("glDepthMask", ctypes.c_ubyte)
 
     @contextlib.contextmanager
-    def entered(self, third_party: bool) -> Iterator[None]:
-        """Check that the context is current, and keep the host's state where necessary; see `ContextOwner`.
-
-        Raises:
-            BadInputError: the context is not current, or as `GlState.kept`.
-        """
-        self._check_current()
-        if self._host_is_clean and not third_party:
-            outermost, self._inside = not self._inside, True
-            try:
-                yield
-            finally:
-                if outermost:
-                    self._inside = False
-                    self._set_depth_mask(1)  # ModernGL clears it for framebuffers without depth
-            return
-        outermost = not self._state.inside
-        with self._state.kept(third_party):
-            if outermost:
-                self._ctx.screen.use()  # ModernGL then records the default framebuffer as bound
+    def framebuffers_kept(self) -> Iterator[None]:
+        """Return a block with the switches of copies off that restores them and the framebuffers; it is current."""
+        number = _INT()
+        bound = {}
+        for target, enum in _BINDINGS.items():
+            self._get(enum, ctypes.addressof(number))
+            bound[target] = number.value
+        switched = [enum for enum in _SWITCHES if self._is_on(enum)]
+        for enum in switched:
+            self._turn[0](enum)
+        try:
             yield
-
-    def odd_values(self) -> list[str]:
-        """Return the calls that `GlState` finds; see `ContextOwner`."""
-        self._check_current()
-        return self._state.odd_values()
+        finally:
+            for enum in switched:
+                self._turn[1](enum)
+            for target, name in bound.items():
+                self._bind(target, name)
 
     def is_same_as(self, context: Any) -> bool:
         """Return as `ContextOwner`, by making the other context current once; always False without EGL."""
@@ -127,11 +84,146 @@ class AdoptedContext:
             self._same[context] = EglBinding().makes_current(context.__enter__, self._current)
         return self._same[context]
 
-    def _check_current(self) -> None:
+
+class OwnContext:
+    """A context that this library opened: each outermost block makes it current, and restores the previous one.
+
+    Between blocks it is current on no thread, so any thread may use it, one at a time. What a host's context has drawn
+    before a block is complete for the block, and what the block has drawn for the host.
+    """
+
+    def __init__(
+        self, ctx: Any, current: CurrentContext, save: Callable[[], Callable[[], None]], host: Host | None = None
+    ) -> None:
+        """Wrap an opened context; `save` saves the context that is current, and returns the function to restore it."""
+        self._ctx, self._current, self._save, self._host = ctx, current, save, host
+        self.has_host = host is not None
+        self._make_current: Callable[[], object] = ctx.__enter__
+        self._in_use = threading.RLock()
+        self._restore: Callable[[], None] | None = None  # while the host's context was current before a block
+        self._fence = current.function("glFenceSync", _UINT, _UINT, result=_POINTER)
+        self._wait = current.function("glWaitSync", _POINTER, _UINT, ctypes.c_uint64)
+        self._drop = current.function("glDeleteSync", _POINTER)
+
+    @contextlib.contextmanager
+    def entered(self) -> Iterator[None]:
+        """Make the context current, and the previous one when the block ends; see `ContextOwner`.
+
+        Raises:
+            BadInputError: another thread stays inside a block, or the context cannot be made current.
+        """
+        if not self._in_use.acquire(timeout=_WAIT_S):
+            raise BadInputError(
+                "Another thread is drawing in this OpenGL context and does not end: use a compositor or renderer from "
+                "one thread at a time."
+            )
+        with contextlib.ExitStack() as at_end:
+            at_end.callback(self._in_use.release)
+            if not self._current.is_current():
+                is_host = self._host is not None and self._host.is_current()
+                restore = self._save()
+                at_end.callback(self._leave, restore, is_host)
+                self._after_all_before(self._make_current, is_host)
+                if not self._current.is_current():
+                    raise BadInputError(
+                        "This library's OpenGL context cannot be made current on this thread: release the context that "
+                        "is current there, or adopt it (context='current')."
+                    )
+                self._restore = restore if is_host else None
+            yield
+
+    def _leave(self, restore: Callable[[], None], is_host: bool) -> None:
+        self._restore = None
+        self._after_all_before(restore, is_host and self._current.is_current())
+
+    def _after_all_before(self, switch: Callable[[], object], is_shared: bool) -> None:
+        """Switch to another context, whose commands then come after those of this one if the two share."""
+        fence = self._fence(_COMMANDS_COMPLETE, 0) if is_shared else None
+        switch()
+        if fence:
+            self._wait(fence, 0, _NO_TIMEOUT)
+            self._drop(fence)
+
+    @contextlib.contextmanager
+    def host(self) -> Iterator[None]:
+        """Make the host's context current; see `ContextOwner`. Without a host this context stays current.
+
+        Raises:
+            BadInputError: the host's context was not current on this thread before the block.
+        """
+        if self._host is None:
+            yield
+            return
+        if self._restore is None:
+            raise BadInputError(
+                "The adopted OpenGL context is not current on this thread, and framebuffers belong to it alone: make "
+                "it current, or give textures, which any thread may give."
+            )
+        self._after_all_before(self._restore, True)
+        try:
+            with self._host.framebuffers_kept():
+                yield
+        finally:
+            self._after_all_before(self._make_current, True)
+
+    def is_same_as(self, context: Any) -> bool:
+        """Return as `ContextOwner`; False without a host."""
+        return self._host is not None and self._host.is_same_as(context)
+
+    def release(self, objects: list[Any]) -> bool:
+        """Destroy the context with all its objects; the context that was current stays current."""
+        restore = self._save()
+        if self._host is not None:  # textures live as long as a context that shares them
+            self._make_current()
+            free_dropped(self._ctx)
+            for one in objects:
+                one.release()
+        self._ctx.gc_mode = None  # objects that Python drops from now on are gone already
+        self._ctx.release()
+        restore()
+        return True
+
+
+class HostContext:
+    """A context of another program in which we draw, because its driver cannot share or its host asks for it.
+
+    The host promises OpenGL's default state before each block, and relies on no binding after it.
+    """
+
+    has_host = False
+
+    def __init__(self, ctx: Any, current: CurrentContext) -> None:
+        """Wrap an adopted context."""
+        self._ctx, self._current, self._host = ctx, current, Host(current)
+        self._depth = 0
+        self._set_depth_mask = current.function("glDepthMask", ctypes.c_ubyte)
+
+    @contextlib.contextmanager
+    def entered(self) -> Iterator[None]:
+        """Check that the context is current; see `ContextOwner`.
+
+        Raises:
+            BadInputError: it is not.
+        """
         if not self._current.is_current():
             raise BadInputError(
                 "The adopted OpenGL context is not current on this thread: make it current before drawing."
             )
+        self._depth += 1
+        try:
+            yield
+        finally:
+            self._depth -= 1
+            if not self._depth:
+                self._set_depth_mask(1)  # ModernGL clears it for framebuffers without depth
+
+    def host(self) -> contextlib.AbstractContextManager[None]:
+        """Return a block, see `ContextOwner`."""
+        return contextlib.nullcontext()
+
+    def is_same_as(self, context: Any) -> bool:
+        """Return as `ContextOwner`."""
+        return self._host.is_same_as(context)
 
     def release(self, objects: list[Any]) -> bool:
         """Destroy the objects and keep the context; if it is not current, warn and destroy nothing."""
@@ -144,17 +236,17 @@ class AdoptedContext:
                 stacklevel=stacklevel_of_caller(),
             )
             return False
-        # In a context that is gone its objects are, too.
-        if self._state.is_same_context():
-            if self._host_is_clean:
-                # A program that is in use would outlive its deletion, for another compositor to find and restore.
-                self._current.function("glUseProgram", ctypes.c_uint)(0)
-            # What a clean host has bound may be ours, and cannot be bound again after it is deleted.
-            with contextlib.nullcontext() if self._host_is_clean else self._state.kept(checked=False):
-                self._ctx.gc()
-                for one in objects:
-                    one.release()
-                self._state.release()
-        # Objects that Python drops from now on are gone already.
-        self._ctx.gc_mode = None
+        self._current.function("glUseProgram", _UINT)(0)  # a program in use outlives its deletion
+        free_dropped(self._ctx)
+        for one in objects:
+            one.release()
+        self._ctx.gc_mode = None  # objects that Python drops from now on are gone already
         return True
+
+
+def free_dropped(ctx: moderngl.Context) -> None:
+    """Like `Context.gc`, but skips objects that were already released."""
+    while ctx.objects:
+        dropped = ctx.objects.popleft()
+        if not isinstance(dropped, moderngl.InvalidObject):
+            dropped.release()

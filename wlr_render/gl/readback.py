@@ -11,7 +11,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.gl import gl
-from wlr_render.gl.host_checks import GlError
+from wlr_render.gl.gl_errors import GlError
 
 _COMMANDS_COMPLETE, _FLUSH = 0x9117, 0x1  # GL_SYNC_GPU_COMMANDS_COMPLETE, GL_SYNC_FLUSH_COMMANDS_BIT
 _TIMEOUT, _FAILED = 0x911B, 0x911D  # GL_TIMEOUT_EXPIRED, GL_WAIT_FAILED

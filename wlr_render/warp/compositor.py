@@ -76,11 +76,12 @@ class Compositor:
         Args:
             models: mappings of one eye, or by eye "left" and "right"; three of an eye are for red, green and blue.
             size: (width, height) in pixels of each eye's display picture, which covers its panel; 2^27 pixels at most.
-            context: a `moderngl.Context` to work in; "current" for the OpenGL context that is current on this thread,
-                whoever made it; "egl" or "osmesa" to open a new one; "auto" for the first of these two that opens;
-                or a `gl.gl.GlContext` to share, which `release` leaves open.
-            host_state: of an adopted context: "kept" restores all state after each call; "clean" neither reads nor
-                restores any, which takes a fraction of the time, and the host promises OpenGL's default state when it
+            context: a `moderngl.Context` whose textures are taken, for which a context is opened that shares them;
+                "current" for the OpenGL context that is current on this thread, whoever made it; "egl" or "osmesa" to
+                open one that shares with none; "auto" for the first of these two that opens; or a `gl.gl.GlContext` to
+                work in, which `release` leaves open.
+            host_state: of a context that is given: "kept" touches none of it; "clean" is for drivers that cannot share:
+                the compositor works in the host's own context, and the host promises OpenGL's default state when it
                 calls and relies on no binding afterwards (docs/realtime.md has the list).
             resolution: pixels of the intermediate image per display pixel and axis, 0.01 to 4.
             raster_camera: where `begin_frame` puts the camera: "nearest" to the rays that reach the pupil, or at the
@@ -94,7 +95,7 @@ class Compositor:
 
         Raises:
             BadInputError: models that do not fit together, no size, or an unknown choice.
-            MissingGlError: OpenGL does not open, or the given context is below version 4.1.
+            MissingGlError: OpenGL does not open, or the given context cannot share or is below version 4.1.
         """
         channels = checked_models(models)
         self.size_px = checked_size(size)
@@ -331,6 +332,7 @@ class Compositor:
                 poses = newest if last_row is None else row_poses(newest, last_row, height_px, grid_rows, scan)
                 to = targets.get(eye)
                 composed[eye] = self._backend.eyes[eye].compose(viewpoints[eye], newest, poses, to, with_source)
+            self._backend.show()
         generations = {eye: self._backend.eyes[eye].generation for eye in chosen}
 
         def check_readable(eye: str) -> None:
@@ -362,10 +364,10 @@ class Compositor:
         self._backend.finish()
 
     def release(self) -> None:
-        """Free all GPU objects, and the context if the compositor opened it; no frames can be composed afterwards.
+        """Free all GPU objects and the compositor's context; no frames can be composed afterwards.
 
-        Only this call frees the objects in an adopted context, which must be current on this thread: otherwise nothing
-        is freed, with a RuntimeWarning, and it may be called again.
+        The context of a "clean" host must be current on this thread: otherwise nothing is freed, with a RuntimeWarning,
+        and it may be called again.
         """
         if not self._released and self._backend.release():
             self._released = True

@@ -30,7 +30,7 @@ from wlr_render.warp.target_framebuffers import TargetFramebuffers
 from wlr_render.warp.view import View, image_from_ray_map
 
 HostState = Literal["kept", "clean"]
-"""Who keeps the OpenGL state of an adopted context, see `Compositor`."""
+"""How an adopted context is used, see `Compositor`."""
 
 HiddenAreas = Literal["repeated", "last picture"]
 """What fills areas that edges hide from the newest picture, see `Compositor`."""
@@ -261,8 +261,12 @@ class GlBackend:
             raise
 
     def working(self) -> AbstractContextManager[object]:
-        """Return a block of calls, around which the caller's OpenGL state is saved and restored once."""
+        """Return a block of calls."""
         return self.context.drawing()
+
+    def show(self) -> None:
+        """Bring what was composed into a window's number to the window."""
+        self._framebuffers.show()
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
         """Return the target of each eye's picture; empty for the compositor's textures. See `Compositor.compose`."""

@@ -8,6 +8,8 @@ from typing import Any
 from wlr_render.errors import BadInputError
 from wlr_render.gl import gl
 from wlr_render.gl.framebuffers import (
+    BLIT_COLOUR,
+    BLIT_DEPTH,
     COLOUR,
     DEPTH,
     DRAW,
@@ -22,12 +24,10 @@ from wlr_render.gl.framebuffers import (
     fresh_framebuffer,
     is_number,
 )
-from wlr_render.gl.gl_state import UNITS
 from wlr_render.warp.stored_picture import StoredDepth, check_depth_format
 
 _UINT, _INT = ctypes.c_uint, ctypes.c_int
 _TEXTURE_2D, _DEPTH_COMPONENT, _UNSIGNED_INT = 0x0DE1, 0x1902, 0x1405
-_BLIT_COLOUR, _BLIT_DEPTH, _NEAREST = 0x4000, 0x0100, 0x2600
 # Internal formats by (is float, bits of depth, whether there is a stencil).
 _DEPTH_FORMATS = {
     (False, 16, False): 0x81A5,
@@ -62,7 +62,7 @@ class PictureCopy:
     def __init__(self, context: gl.GlContext) -> None:
         self._context = context
         self._ask = FramebufferQueries(context)
-        self._blits: ImageCache[_Blits] = ImageCache(context)
+        self._blits: ImageCache[_Blits] = ImageCache()
         self._targets: dict[int, tuple[tuple[object, ...], gl.Framebuffer, gl.Texture]] = {}
         self._new = ""  # the source that was never copied before
 
@@ -77,26 +77,25 @@ class PictureCopy:
         fixed = not is_number(framebuffer) and framebuffer.color_attachments is not None
 
         def prepare(old: _Blits | None) -> _Blits:
-            images = [(image, self._ask.size(image), (0, 0)) for image in self._images_of(number)]
+            images = [(image, self._ask.size(image), (0, 0)) for image in self._images_of(framebuffer, number)]
             return self._prepare(images, f"framebuffer {number}", size, old)
 
         return self._copied(self._blits.get([framebuffer if fixed else number], size, prepare), size, stored)
 
-    def copy_layers(
-        self, layers: Sequence[TextureLayer], size: tuple[int, int], stored: StoredDepth
-    ) -> tuple[gl.Texture, ...]:
-        """Colour, and depth if there is one, of textures of (width, height), rows as they lie.
+    def copy_layers(self, given: Sequence[Any], size: tuple[int, int], stored: StoredDepth) -> tuple[gl.Texture, ...]:
+        """Colour, and depth if there is one, of textures or layers of (width, height), rows as they lie.
 
         Raises:
             BadInputError: a texture, layer or level does not exist, or has another size or a format that cannot be
                 copied; or as `check_depth_format`.
         """
+        layers = [each if isinstance(each, TextureLayer) else TextureLayer(each) for each in given]
 
         def prepare(old: _Blits | None) -> _Blits:
             return self._prepare([self._part_of(each) for each in layers], "texture {name}", size, old)
 
         key = (*size, "layers", *((each.layer, each.level, each.rect_px) for each in layers))
-        return self._copied(self._blits.get([each.texture for each in layers], key, prepare), size, stored)
+        return self._copied(self._blits.get(list(given), key, prepare), size, stored)
 
     def size_of(self, layer: TextureLayer) -> tuple[int, int]:
         """(width, height) of the picture in a layer of a texture.
@@ -109,26 +108,20 @@ class PictureCopy:
     def _part_of(self, layer: TextureLayer) -> tuple[Image, tuple[int, int], tuple[int, int]]:
         """Return an image, and size and first pixel of the picture in it."""
         image = Image(layer.name, False, layer.level, layer.layer)
-        if not self._ask.exists("Texture", image.name):
+        if not self._ask.is_texture(image.name):
             raise BadInputError(f"Number {image.name} is not a texture of this context: submit one that is.")
         self._ask.check_layer(image)
         self._context.take_error()
         first_px, size = layer.rect_in(self._ask.size(image))
         return image, size, first_px
 
-    def _images_of(self, number: int) -> list[Image]:
-        ask, found = self._ask, []
-        if not ask.exists("Framebuffer", number):
-            raise BadInputError(
-                f"Number {number} is not a framebuffer object of this context: draw into one; a window is not read."
-            )
-        for point, name in ((COLOUR, "colour"), (DEPTH, "depth")):
-            ask.bind(number)
-            image = ask.image(point)
+    def _images_of(self, framebuffer: Any, number: int) -> list[Image]:
+        images = []
+        for image, name in zip(self._ask.images_of(framebuffer, [COLOUR, DEPTH]), ("colour", "depth"), strict=True):
             if image is None:
                 raise BadInputError(f"The framebuffer {number} has no {name} attachment: give it one and draw into it.")
-            found.append(image)
-        return found
+            images.append(image)
+        return images
 
     def _prepare(
         self,
@@ -156,7 +149,7 @@ class PictureCopy:
         if found is None or not found.blue_bits or found.numbers in WHOLE_NUMBERS:
             kind = "holds whole numbers" if found and found.numbers in WHOLE_NUMBERS else "holds no red, green and blue"
             raise BadInputError(f"The {what.format(name=image.name)} {kind} for colours: use RGBA8.")
-        return _Blit(source, *self._colour_target(found, size), _BLIT_COLOUR)
+        return _Blit(source, *self._colour_target(found, size), BLIT_COLOUR)
 
     def _colour_target(self, found: ImageFormat, size: tuple[int, int]) -> tuple[gl.Framebuffer, gl.Texture]:
         # A resolve or copy keeps the codes of an sRGB format only in one.
@@ -169,10 +162,10 @@ class PictureCopy:
             found = self._ask.format(DEPTH)
             key = found.numbers == FLOATS, found.depth_bits, found.stencil_bits > 0
             if key in _DEPTH_FORMATS:
-                return _Blit(source, *self._depth_target(_DEPTH_FORMATS[key], size), _BLIT_DEPTH)
+                return _Blit(source, *self._depth_target(_DEPTH_FORMATS[key], size), BLIT_DEPTH)
         elif self._ask.attach(COLOUR, image) and self._ask.format(COLOUR).numbers not in WHOLE_NUMBERS:
             made = self._target(DEPTH, (size, "f4"), lambda: self._context.target(size, 1, "f4"))
-            return _Blit(source, *made, _BLIT_COLOUR)
+            return _Blit(source, *made, BLIT_COLOUR)
         raise BadInputError(
             f"The {what.format(name=image.name)} holds no depth that can be copied: use a depth format."
         )
@@ -181,7 +174,7 @@ class PictureCopy:
         def make() -> gl.Texture:
             texture = self._context.target(size, 1, "f4")
             # glBlitFramebuffer requires matching depth formats.
-            texture.use(UNITS - 1)
+            texture.use(self._context.texture_unit)
             image = self._ask.gl("glTexImage2D", _UINT, *[_INT] * 5, _UINT, _UINT, ctypes.c_void_p)
             image(_TEXTURE_2D, 0, depth_format, *size, 0, _DEPTH_COMPONENT, _UNSIGNED_INT, None)
             return texture
@@ -199,7 +192,7 @@ class PictureCopy:
         return found[1:]
 
     def _copied(self, blits: _Blits, size: tuple[int, int], stored: StoredDepth) -> tuple[gl.Texture, ...]:
-        if blits[-1].buffers == _BLIT_DEPTH:
+        if blits[-1].buffers == BLIT_DEPTH:
             check_depth_format(stored)
         for blit in blits:
             self._draw(blit, size)
@@ -214,6 +207,4 @@ class PictureCopy:
     def _draw(self, blit: _Blit, size: tuple[int, int]) -> None:
         self._ask.bind(blit.source.glo, READ)
         self._ask.bind(blit.target.glo, DRAW)
-        x, y = blit.first_px
-        copy = self._ask.gl("glBlitFramebuffer", *[_INT] * 8, _UINT, _UINT)
-        copy(x, y, x + size[0], y + size[1], 0, 0, *size, blit.buffers, _NEAREST)
+        self._ask.copy(blit.first_px, size, blit.buffers)

@@ -147,11 +147,11 @@ class PictureImport:
             if depth is not None and depth.depth:
                 check_depth_format(stored)
             return _Given([texture for _, texture in named], is_callers=True)
-        layers = [each if isinstance(each, TextureLayer) else TextureLayer(each) for _, each in named]
-        for (name, _), layer in zip(named, layers, strict=True):
-            if not is_number(layer.texture):
-                _check_context(self._context, f"{name} texture", layer.texture)
-        return _Given(self._copy.copy_layers(layers, size, stored))
+        for name, each in named:
+            texture = each.texture if isinstance(each, TextureLayer) else each
+            if not is_number(texture):
+                _check_context(self._context, f"{name} texture", texture)
+        return _Given(self._copy.copy_layers([each for _, each in named], size, stored))
 
     def colour_alone(self, picture: Any, stored_colour: StoredColour, rows: Rows | None = None) -> gl.Texture:
         """Return a picture without depth and camera as the texture of its colours, of a format of `GpuImage.colour`.

@@ -1,12 +1,16 @@
 """Framebuffers and textures of other software as targets of composed frames."""
 
+import ctypes
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from wlr_render.errors import BadInputError
 from wlr_render.gl import gl
 from wlr_render.gl.framebuffers import (
+    BLIT_COLOUR,
     COLOUR,
+    DRAW,
+    READ,
     WHOLE_NUMBERS,
     FramebufferQueries,
     Image,
@@ -17,6 +21,7 @@ from wlr_render.gl.framebuffers import (
 )
 from wlr_render.warp.gl_warp import WarpTarget
 
+_UINT, _INT = ctypes.c_uint, ctypes.c_int
 _FRACTIONS = "does not hold red, green and blue as fractions; give it an RGBA8 texture."
 
 
@@ -25,7 +30,10 @@ class TargetFramebuffers:
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context, self._ask = context, FramebufferQueries(context)
-        self._targets: ImageCache[gl.Framebuffer] = ImageCache(context)
+        self._targets: ImageCache[gl.Framebuffer] = ImageCache()
+        self._made = gl.RenderTargets(context)
+        self._for_window: gl.RenderTarget | None = None
+        self._source = 0  # a framebuffer object of the host's context
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
         """Return the target of each eye's picture, upright as OpenGL shows it; see `Compositor.compose`.
@@ -34,6 +42,7 @@ class TargetFramebuffers:
             BadInputError: an eye has no target, or a target is not a framebuffer or texture of this context or has
                 another size or kind.
         """
+        self._for_window = None
         if isinstance(into, Mapping):
             missing = set(eyes) - set(into)
             if missing:
@@ -52,7 +61,8 @@ class TargetFramebuffers:
         return {eye: WarpTarget(framebuffer, (x + k * width, y), size_px, False) for k, eye in enumerate(eyes)}
 
     def _of_size(self, into: Any, size_px: tuple[int, int]) -> gl.Framebuffer:
-        """Return a framebuffer of ours with the first colour image of a target; the window's own for number 0."""
+        """Return a framebuffer of ours with the first colour image of a target; for number 0 one to be shown later."""
+        given = into
         into = TextureLayer(into) if isinstance(into, gl.Texture | gl.TextureArray) else into
         owner = into.texture if isinstance(into, TextureLayer) else into
         if not is_number(owner) and not isinstance(owner, gl.Framebuffer | gl.Texture | gl.TextureArray):
@@ -67,44 +77,51 @@ class TargetFramebuffers:
         if isinstance(into, TextureLayer):
             layer = into
             key = "texture", layer.layer, layer.level, layer.rect_px, size_px
-            return self._targets.get([owner], key, lambda old: self._of_texture(layer, size_px, old))
+            return self._targets.get([given], key, lambda old: self._of_texture(layer, size_px, old))
         number = int(owner if is_number(owner) else owner.glo)
         if not number:
-            return self._window()
+            return self._window(size_px)
         fixed = not is_number(owner) and owner.color_attachments is not None
         return self._targets.get(
             [owner if fixed else number],
             ("framebuffer", size_px),
-            lambda old: self._of_framebuffer(number, size_px, old),
+            lambda old: self._of_framebuffer(owner, size_px, old),
         )
 
-    def _window(self) -> gl.Framebuffer:
+    def _window(self, size_px: tuple[int, int]) -> gl.Framebuffer:
         # The size of a window's picture is its toolkit's affair: OpenGL cannot be asked for it.
-        if not self._context.host_is_clean:
+        if self._context.host_is_clean:
+            with self._context.drawing() as ctx:
+                window: Any = ctx.screen
+                screen: gl.Framebuffer = window
+            return screen
+        if not self._context.has_host:
+            raise BadInputError("the compositor's own OpenGL context has no window; give a framebuffer object of it.")
+        with self._context.host():
             self._ask.bind(0)
             if not self._ask.is_complete():
                 raise BadInputError(
                     "the OpenGL context has no window; give a framebuffer object with an RGBA8 texture."
                 )
-        with self._context.drawing() as ctx:
-            window: Any = ctx.screen
-        if window is None:
-            raise BadInputError("the compositor's own OpenGL context has no window; give a framebuffer object of it.")
-        screen: gl.Framebuffer = window
-        return screen
+        self._for_window = self._made.get("window", size_px, (4, "f1"))
+        return self._for_window.framebuffer
 
-    def _of_framebuffer(self, number: int, size_px: tuple[int, int], old: gl.Framebuffer | None) -> gl.Framebuffer:
-        ask = self._ask
-        if not ask.exists("Framebuffer", number):
-            raise BadInputError(
-                f"number {number} is no framebuffer object of the OpenGL context; give one, or 0 for the window."
-            )
-        ask.bind(number)
-        if not ask.is_complete():
-            raise BadInputError(
-                f"the framebuffer {number} is incomplete; give a framebuffer object with an RGBA8 texture."
-            )
-        image = ask.image(COLOUR)
+    def show(self) -> None:
+        """Copy what was drawn for the window to it, in its own context: framebuffers are not shared."""
+        drawn, self._for_window = self._for_window, None
+        if drawn is None:
+            return
+        texture, ask = drawn.textures[0], self._ask
+        with self._context.host():
+            source = self._source or ask.made()
+            self._source = source
+            ask.bind(source, READ)
+            ask.gl("glFramebufferTexture", *[_UINT] * 3, _INT)(READ, COLOUR, texture.glo, 0)
+            ask.bind(0, DRAW)
+            ask.copy((0, 0), texture.size, BLIT_COLOUR)
+
+    def _of_framebuffer(self, owner: Any, size_px: tuple[int, int], old: gl.Framebuffer | None) -> gl.Framebuffer:
+        (image,) = self._ask.images_of(owner, [COLOUR])
         if image is None:
             raise BadInputError(f"the framebuffer's first attachment {_FRACTIONS}")
         self._context.take_error()
@@ -112,7 +129,7 @@ class TargetFramebuffers:
 
     def _of_texture(self, layer: TextureLayer, size_px: tuple[int, int], old: gl.Framebuffer | None) -> gl.Framebuffer:
         image = Image(layer.name, False, layer.level, layer.layer)
-        if not self._ask.exists("Texture", image.name):
+        if not self._ask.is_texture(image.name):
             raise BadInputError(f"number {image.name} is no texture of the OpenGL context; give one that is.")
         self._ask.check_layer(image)
         self._context.take_error()

@@ -1,4 +1,4 @@
-"""CPU cost of a frame: what is counted, and what a clean host is promised."""
+"""CPU cost of a frame: what is counted, and that nobody's state is read."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -40,9 +40,11 @@ def test_a_clean_host_has_no_gets_and_few_calls(egl: None, models: Mapping[str, 
     assert 20 < clean.calls <= 150
     assert clean.gets == 0
     assert clean.kept_bytes < 2000
-    kept, block = (measure(models, SIZE, way, 2) for way in ("kept", "block"))
-    assert clean.calls + 100 < block.calls < kept.calls - 200
-    assert 50 < block.gets < kept.gets - 100
+    # A context that shares costs two switches a call: fences, and one error that is read.
+    shared, block = (measure(models, SIZE, way, 2) for way in ("shared", "block"))
+    assert clean.calls < block.calls < shared.calls <= clean.calls + 40
+    assert {name for name in shared.by_name if is_get(name)} == {"glGetError"}
+    assert block.gets == 1
 
 
 @pytest.mark.slow

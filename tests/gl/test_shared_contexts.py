@@ -1,5 +1,6 @@
-"""A context of somebody else's program: drawn in, and given back as it was."""
+"""A context beside somebody else's, which shares its textures and touches nothing of its state."""
 
+import ctypes
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -10,21 +11,31 @@ import gl_scenes
 import moderngl
 import numpy as np
 import pytest
-from fitted_eyes import fitted_eye
-from gl_caller import Caller, assert_same, run
+from gl_caller import Caller, Number, assert_same, make_current, open_other, run
 from present import present
-from warping import field_of_pixels
 
 from wlr_render.draw.gl_raster import GlRaster
+from wlr_render.errors import MissingGlError
 from wlr_render.gl import gl
 from wlr_render.gl.context import GlContext
-from wlr_render.warp.gl_ray_maps import GlPlanarSolver
-from wlr_render.warp.gl_warp import GlWarp
-from wlr_render.warp.grid import WarpGrid
 
 pytestmark = pytest.mark.gl
 
+SAMPLES_PASSED, PRIMITIVES, QUERY_RESULT = 0x8914, 0x8C87, 0x8866
 SCENE = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
+
+
+def name_of(caller: Caller, kind: str) -> int:
+    name = (ctypes.c_uint * 1)()
+    caller.gl(f"glGen{kind}", 1, ctypes.addressof(name), types=[ctypes.c_int, ctypes.c_void_p])
+    return name[0]
+
+
+def result_of(caller: Caller, query: int) -> int:
+    number = (ctypes.c_uint * 1)()
+    types: list[Number] = [ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p]
+    caller.gl("glGetQueryObjectuiv", query, QUERY_RESULT, ctypes.addressof(number), types=types)
+    return number[0]
 
 
 @pytest.fixture
@@ -33,36 +44,22 @@ def adopted(caller: Caller) -> Iterator[Any]:
         yield adopted
 
 
-@pytest.mark.parametrize("is_odd", [True, False])
-def test_all_state_is_found_again_after_each_kind_of_block(caller: Caller, is_odd: bool) -> None:
-    """From odd values, and from OpenGL's own, which need not be restored unless our drawing changes them."""
-    if is_odd:
-        caller.set_odd_values()
+def test_all_state_is_found_again_after_each_kind_of_block(caller: Caller) -> None:
+    caller.set_odd_values()
     before = caller.state()
     context = gl.adopt_context(caller.ctx)
     assert_same(caller.state(), before)
-    raster = GlRaster(context, SCENE)
-    assert_same(caller.state(), before)
-    picture = raster.draw_on_gpu(gl_scenes.view())
+    picture = GlRaster(context, SCENE).draw_on_gpu(gl_scenes.view())
     assert_same(caller.state(), before)
     picture.read()
     assert_same(caller.state(), before)
-    rays = field_of_pixels(context, np.zeros((4, 6, 7), np.float32))
-    assert_same(caller.state(), before)
-    GlWarp(context).draw(picture, [rays], np.eye(4), (7, 6))
-    assert_same(caller.state(), before)
-    eye = fitted_eye("northstar", 3)
-    field = GlPlanarSolver(context, eye, WarpGrid.of_pixels(eye.display.panel, (8, 9)), np.eye(3)).solve(
-        eye.eye_box.centre
-    )
-    assert_same(caller.state(), before)
-    field.read()
-    assert_same(caller.state(), before)
     with context.drawing(third_party=True) as ctx, context.drawing():
         ctx.enable(moderngl.BLEND)
-        largest: Any = moderngl.MAX  # ModernGL's stubs know pairs of equations only
-        ctx.blend_func, ctx.blend_equation = (moderngl.ONE, moderngl.ONE), largest
         ctx.front_face, ctx.cull_face, ctx.point_size, ctx.depth_func = "ccw", "back", 2.0, "<"
+    assert_same(caller.state(), before)
+    with context.drawing(), context.host():  # as for a framebuffer's number, or the window
+        caller.gl("glBindFramebuffer", 0x8D40, 0)
+        assert not caller.gl("glIsEnabled", 0x0C11)
     assert_same(caller.state(), before)
     context.release()
     assert_same(caller.state(), before)
@@ -82,18 +79,49 @@ def test_a_failed_block_leaves_the_state_and_the_next_is_right(caller: Caller, a
     np.testing.assert_array_equal(raster.draw(gl_scenes.view()).colour, good.colour)
 
 
-def test_a_program_that_the_caller_deleted_while_it_was_in_use_leaves_no_error(caller: Caller, adopted: Any) -> None:
-    program = caller.ctx.program(
-        "#version 410\nvoid main() { gl_Position = vec4(0); }",
-        "#version 410\nout vec4 c; void main() { c = vec4(1); }",
-    )
-    caller.ctx.simple_framebuffer((4, 4)).use()
-    points = caller.ctx.vertex_array(program, [])
-    points.render(vertices=1)
-    points.release()
-    program.release()
-    GlRaster(adopted, SCENE).draw_on_gpu(gl_scenes.view())
+@pytest.mark.parametrize("target", [SAMPLES_PASSED, PRIMITIVES], ids=hex)
+def test_what_runs_in_the_host_neither_counts_nor_drops_our_draws(caller: Caller, adopted: Any, target: int) -> None:
+    raster = GlRaster(adopted, SCENE)
+    good = raster.draw(gl_scenes.view())
+    query, empty = name_of(caller, "Queries"), name_of(caller, "Queries")
+    caller.gl("glBeginQuery", SAMPLES_PASSED, empty)
+    caller.gl("glEndQuery", SAMPLES_PASSED)
+    caller.gl("glBeginQuery", target, query)
+    caller.gl("glBeginConditionalRender", empty, 0x8E13)  # GL_QUERY_WAIT: nothing is drawn in the host
+    caller.gl("glEnable", 0x1234)
+    np.testing.assert_array_equal(raster.draw(gl_scenes.view()).colour, good.colour)
+    assert caller.ctx.error == "GL_INVALID_ENUM"  # the host's own error is left to it
+    caller.gl("glEndConditionalRender")
+    caller.gl("glEndQuery", target)
     assert caller.ctx.error == "GL_NO_ERROR"
+    assert result_of(caller, query) == 0
+
+
+def test_the_context_outlives_its_host(caller: Caller, adopted: Any) -> None:
+    raster = GlRaster(adopted, SCENE)
+    good = raster.draw(gl_scenes.view())
+    caller.ctx.release()
+    np.testing.assert_array_equal(raster.draw(gl_scenes.view()).colour, good.colour)
+
+
+def test_another_context_at_the_address_of_the_host_is_an_error(caller: Caller, adopted: Any) -> None:
+    other = open_other(410)
+    host = vars(vars(adopted)["_owner"])["_host"]
+    host.is_current = lambda: True  # as if the host's context were gone
+    try:
+        with pytest.raises(gl.GlError, match="GL_INVALID_VALUE"), adopted.drawing():
+            pass
+    finally:
+        other.release()
+        make_current(caller.ctx)
+
+
+def test_a_driver_that_does_not_share_is_told_in_a_sentence(caller: Caller, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gl, "BINDINGS", {})
+    before = caller.state()
+    with pytest.raises(MissingGlError, match=r"no sharing with EGL\): promise OpenGL's default state with host_state="):
+        gl.adopt_context(caller.ctx)
+    assert_same(caller.state(), before)
 
 
 @pytest.mark.slow
