@@ -1,6 +1,6 @@
 """One trial: simulate a session, calibrate it, and compare true registration errors with the predicted covariance."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from benchmarks.simulated_lab.simulate_readings import (
     SimulatedReadings,
     simulate_readings,
 )
-from wlr_render.budget.error_sizes import ErrorSizes, PerAxis, Truncation
+from wlr_render.budget.error_sizes import Drawing, ErrorSizes, PerAxis, Truncation
 from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import REGIONS, region_of, variance
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
@@ -120,7 +120,7 @@ def run_trial(trial: BudgetTrial, seed: int) -> BudgetOutcome:
     for number, condition in enumerate(CONDITIONS):
         rng = np.random.default_rng([seed, 31, trial.number, number])
         frame = stated_from_true if condition == CAMERA_FRAME else np.eye(4)
-        trackers = BudgetOptions(trial.device, raster_arcmin=0.0).sizes(0.0, truncation)
+        trackers = replace(BudgetOptions(trial.device).sizes(0.0, truncation), drawing=Drawing())
         sizes = trackers if condition == WITH_TRACKERS else ErrorSizes(truncation=truncation)
         coverage += judged(condition, fit.mappings, truth, frame, sizes, rng)
     return BudgetOutcome(trial, coverage, truncation)

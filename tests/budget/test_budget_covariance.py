@@ -19,6 +19,7 @@ from wlr_render.models.registration import right_and_up
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.tracking.eye_model import RotatingEye
 
 DEPTH_M = 1.2
 EYE_SIZES = EyeTracker(noise_m=(1e-5, 2e-5, 3e-5))
@@ -26,7 +27,7 @@ HEAD_SIZES = HeadTracker(rotation_rad=(1e-5, 2e-5, 3e-5), position_m=(4e-5, 2e-5
 ALL_SIZES = ErrorSizes(
     EyeTracker(3e-5, 1e-4, 0.02, (0.002, 0.002, 0.0)),
     HeadTracker(2e-4, 4e-4, 0.003, 0.2, 0.1),
-    Drawing(0.02, 0.004, True),
+    Drawing(0.02, 0.004, True, True),
     Truncation(0.05, 0.02),
 )
 
@@ -78,7 +79,7 @@ def test_total_is_the_sum_of_symmetric_positive_sources(northstar: Eye) -> None:
         (replace(ALL_SIZES, head=replace(ALL_SIZES.head, rotation_rad=1e-4, position_m=2e-4)), "head tracker: noise"),
         (replace(ALL_SIZES, head=replace(ALL_SIZES.head, latency_s=0.0015)), "head tracker: latency"),
         (replace(ALL_SIZES, truncation=Truncation(0.025, 0.01)), "model: truncation"),
-        (replace(ALL_SIZES, drawing=Drawing(0.01, 0.002, True)), "drawing: raster and warp grid"),
+        (replace(ALL_SIZES, drawing=Drawing(0.01, 0.002, True, True)), "drawing: raster and warp grid"),
     ],
 )
 def test_half_a_sigma_is_a_quarter_of_its_variance_and_nothing_else(
@@ -144,6 +145,17 @@ def test_whole_pixels_are_a_twelfth_of_a_square_pixel(flat_image_headset: Eye) -
     found = registration_covariance(eye, eye.display.panel.size_px / 2, centre, DEPTH_M, sizes)
     pitch = 0.01 / 2.0 / ARCMIN
     np.testing.assert_allclose(found.total, pitch**2 / 12.0 * np.eye(2), rtol=1e-4)
+
+
+def test_one_viewpoint_misses_the_pupil_that_the_cornea_shows_to_each_direction(northstar: Eye) -> None:
+    pixel, viewpoint = pixels_and_viewpoints(northstar)
+    sizes = ErrorSizes(drawing=Drawing(has_one_viewpoint=True))
+    found = registration_covariance(northstar, pixel, viewpoint, DEPTH_M, sizes)
+    eye = RotatingEye(viewpoint + [0.0, 0.0, 0.0105], 0.0105)
+    for_pixel = eye.viewpoint_of_gaze(np.array([0.0, 0.0, -1.0]), found.view_dir)
+    expected = outer_sum([registration_error(northstar, for_pixel, found.point, viewpoint, found.point)])
+    np.testing.assert_allclose(found.total, expected, atol=1e-2 * expected.max())
+    assert expected.max() > 1e-6
 
 
 def test_an_exact_device_has_no_error_of_its_own(northstar: Eye) -> None:

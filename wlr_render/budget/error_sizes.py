@@ -72,11 +72,14 @@ class Drawing(_Sizes):
         is_rounded: whether edges are rounded to whole pixels. A warp with a filter does not round: the brightness of
             two neighbouring pixels places an edge between them. Without a filter, the error of an edge is uniform
             within half a pixel to either side.
+        has_one_viewpoint: whether one entrance pupil serves a whole frame. The cornea moves it for view directions
+            beside the gaze (`tracking.eye_model`); the error counts for an eye that looks straight ahead.
     """
 
     warp_grid_arcmin: float = 0.0
     raster_arcmin: float = 0.0
     is_rounded: bool = False
+    has_one_viewpoint: bool = False
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from wlr_render.mappings import Eye, QueryResult
 from wlr_render.models.fitted_model import FittedDisplay, FittedModel, FittedSeeThrough
 from wlr_render.models.registration import model_registration_covariance, right_and_up
 from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.tracking.eye_model import entrance_pupil_shift
 
 MODEL, EYE, HEAD, DRAWING = "model", "eye tracker", "head tracker", "drawing"
 """Owners of error sources; the name of a source is "OWNER: DETAIL"."""
@@ -29,6 +30,7 @@ TRACKING_CAMERA = f"{MODEL}: tracking camera"
 _STEP_M = 20e-6  # step of a viewpoint; models curve over millimetres, and solves converge to 1e-12
 _STEP_RAD = 1e-4  # step of a real point, as an angle at the viewpoint
 _STEP_PX = 0.05  # step of a pixel
+_STRAIGHT_AHEAD = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +101,8 @@ def disparity_covariance(
 
     The models of the two eyes are independent, and so are the noise and bias of their eye trackers. Errors of the head
     pose are common to both eyes and cancel except where the optics of the eyes differ. Eyes turn together, so that
-    latency is common, too. An error of the tracking camera's stated pose moves both eyes together and is omitted.
+    latency is common, too, and so is corneal refraction. An error of the tracking camera's stated pose moves both eyes
+    together and is omitted.
 
     Args:
         eyes: left and right eye.
@@ -163,6 +166,7 @@ class _Sensitivity:
         self.by_viewpoint = axes @ (of_viewpoint(partial(shown, pixel)) - of_viewpoint(partial(seen, point)))
         self.by_motion = np.concatenate([by_point @ -transforms.cross_matrix(point), by_point], axis=-1)
         self.by_pixel = axes @ _derivative(lambda at: shown(at, viewpoint), pixel, _STEP_PX)
+        self.by_cornea = self.by_viewpoint @ entrance_pupil_shift(_STRAIGHT_AHEAD, view_dir)[..., None]
 
     def covariances(self, sizes: ErrorSizes) -> dict[str, FloatArray]:
         """Return the covariances (..., 2, 2) by source, square arcminutes."""
@@ -191,6 +195,7 @@ class _Sensitivity:
                 self.by_motion,
                 head.latency_s**2 * variances(head.angular_speed_rad_s, head.speed_m_s),
             ),
+            f"{DRAWING}: corneal refraction": (self.by_cornea, np.full(1, float(sizes.drawing.has_one_viewpoint))),
         }
 
     def _model(self) -> dict[str, FloatArray]:

@@ -140,6 +140,7 @@ _HOW = {
     "head tracker: noise": "the noise of the head tracker",
     "head tracker: latency": "the latency that remains after prediction and late warp of the head pose",
     "drawing: whole pixels": "the drawing, by a filter",
+    "drawing: corneal refraction": "the drawing, for more than one entrance pupil",
     TRACKING_CAMERA: "the stated pose of the tracking camera (or measure head poses and pupils with that camera: "
     "--camera-frame)",
     "model: truncation": "the truncation error of the models (more camera positions, higher degrees)",
@@ -225,6 +226,6 @@ _METHOD = (
     "cover. Each source has a covariance at every pixel and viewpoint: model errors from the fit, tracker errors "
     "through the derivatives of both mappings. Sources are independent, and their covariances add up. Latency counts "
     "as random motion of the stated speed; the speed excludes saccades, during which vision is suppressed. Drawing "
-    "errors count with their bound at every pixel. Truncation is the error beyond the expected one at rows and columns "
-    "of camera positions that the fit left out."
+    "errors count with their bound at every pixel, corneal refraction for an eye that looks straight ahead. Truncation "
+    "is the error beyond the expected one at rows and columns of camera positions that the fit left out."
 )

@@ -87,6 +87,14 @@ class BudgetOptions(Options):
             "Include the rounding of edges to whole pixels (drawing without a filter).", flag=True, group=_DRAWING
         ),
     ] = False
+    corneal_refraction: Annotated[
+        bool,
+        described(
+            "Include the shift of the entrance pupil by the cornea, which frames for one viewpoint do not have.",
+            flag=True,
+            group=_DRAWING,
+        ),
+    ] = True
     camera_frame: Annotated[
         bool,
         described(
@@ -120,7 +128,7 @@ class BudgetOptions(Options):
                 float(np.deg2rad(self.head_speed_deg_s)),
                 self.head_speed_m_s,
             ),
-            Drawing(warp_grid_arcmin, self.raster_arcmin, self.whole_pixels),
+            Drawing(warp_grid_arcmin, self.raster_arcmin, self.whole_pixels, self.corneal_refraction),
             truncation,
         )
 
