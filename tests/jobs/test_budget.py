@@ -27,7 +27,7 @@ NO_TRACKER_ERRORS: dict[str, Any] = {
     "head_noise_deg": 0.0,
     "head_noise_mm": 0.0,
     "head_latency_ms": 0.0,
-    "corneal_refraction": False,
+    "without_cornea": True,
 }
 
 

@@ -87,14 +87,14 @@ class BudgetOptions(Options):
             "Include the rounding of edges to whole pixels (drawing without a filter).", flag=True, group=_DRAWING
         ),
     ] = False
-    corneal_refraction: Annotated[
+    without_cornea: Annotated[
         bool,
         described(
-            "Include the shift of the entrance pupil by the cornea, which frames for one viewpoint do not have.",
+            "Leave out the shift of the entrance pupil by the cornea, which frames for one viewpoint do not have.",
             flag=True,
             group=_DRAWING,
         ),
-    ] = True
+    ] = False
     camera_frame: Annotated[
         bool,
         described(
@@ -128,7 +128,7 @@ class BudgetOptions(Options):
                 float(np.deg2rad(self.head_speed_deg_s)),
                 self.head_speed_m_s,
             ),
-            Drawing(warp_grid_arcmin, self.raster_arcmin, self.whole_pixels, self.corneal_refraction),
+            Drawing(warp_grid_arcmin, self.raster_arcmin, self.whole_pixels, not self.without_cornea),
             truncation,
         )
 
