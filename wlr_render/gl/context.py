@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import threading
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
@@ -42,6 +43,19 @@ _SRGB_DECODE, _SKIP_DECODE = 0x8A48, 0x8A4A  # enums of GL_EXT_texture_sRGB_deco
 _TEXTURE_2D, _INTERNAL_FORMAT = 0x0DE1, 0x1003
 
 
+class _NestedBlock:
+    """A block within a drawing block, of which it is a part."""
+
+    def __init__(self, ctx: moderngl.Context, at_end: Callable[[], None]) -> None:
+        self._ctx, self._at_end = ctx, at_end
+
+    def __enter__(self) -> moderngl.Context:
+        return self._ctx
+
+    def __exit__(self, *exception: object) -> None:
+        self._at_end()
+
+
 class GlContext:
     """An OpenGL context and its shader programs; a context manager that releases it.
 
@@ -73,7 +87,8 @@ class GlContext:
         self._compute_programs: dict[tuple[object, ...], ComputeShader] = {}
         self._errors = ErrorReader(current)
         self.host_is_clean = host_is_clean
-        self._depth, self._switched = 0, False
+        self._depth, self._thread, self._switched, self._is_disturbed = 0, 0, False, True
+        self._nested = _NestedBlock(ctx, self._switch_off)
         self._made_objects = False  # a clean host's errors are read only in blocks that make objects
         self._bind = current.function("glBindFramebuffer", *[ctypes.c_uint] * 2)
         self._set_viewport = current.function("glViewport", *[ctypes.c_int] * 4)
@@ -98,9 +113,8 @@ class GlContext:
         """True for a software renderer: work per pixel is expensive, and texture filters have exact weights."""
         return any(name in self.renderer.lower() for name in _SOFTWARE)
 
-    @contextlib.contextmanager
-    def drawing(self, third_party: bool = False) -> Iterator[moderngl.Context]:
-        """Open a block of OpenGL calls: this context current, all switches off, errors raised at the end.
+    def drawing(self, third_party: bool = False) -> contextlib.AbstractContextManager[moderngl.Context]:
+        """Return a block of OpenGL calls: this context current, all switches off, errors raised at the end.
 
         Args:
             third_party: other software draws in the block, which may leave switches on.
@@ -109,14 +123,27 @@ class GlContext:
             GlError: a call in the block failed.
             BadInputError: it has been released, or cannot be made current on this thread.
         """
+        return self._nested if self._is_inside() and not third_party else self._block(third_party, True)
+
+    def working(self) -> contextlib.AbstractContextManager[moderngl.Context]:
+        """Return a block as `drawing`, in which this library alone draws, and leaves all switches off."""
+        return self._nested if self._is_inside() else self._block(False, False)
+
+    def _is_inside(self) -> bool:
+        return self._depth > 0 and self._thread == threading.get_ident()
+
+    @contextlib.contextmanager
+    def _block(self, third_party: bool, is_public: bool) -> Iterator[moderngl.Context]:
         if self._released:
             raise BadInputError("the OpenGL context has been released with all its pictures; read them before release.")
         with self._owner.entered():
             outermost = not self._depth
-            if outermost and not self.host_is_clean:
+            if outermost and self._is_disturbed and not self.host_is_clean:
                 self._ctx.enable_only(moderngl.NOTHING)
             free_dropped(self._ctx)
-            self._depth, self._switched = self._depth + 1, self._switched or third_party
+            self._depth, self._thread = self._depth + 1, threading.get_ident()
+            self._switched = self._switched or third_party
+            self._is_disturbed = is_public  # others may switch on what they like in it
             try:
                 yield self._ctx
             except BaseException:
@@ -124,10 +151,7 @@ class GlContext:
                 raise
             finally:
                 self._depth -= 1
-                if self._switched:
-                    self._ctx.enable_only(moderngl.NOTHING)
-                    self._ctx.depth_func = "<"
-                    self._switched = False
+                self._switch_off()
                 if outermost or third_party:
                     forget_textures(self._ctx)
             if outermost and (self._made_objects or not self.host_is_clean):
@@ -136,6 +160,12 @@ class GlContext:
                 if error:
                     pending = "; or the host had it pending before" if self.host_is_clean else ""
                     raise GlError(f"OpenGL reports {error_name(error)} ({self.renderer}){pending}.")
+
+    def _switch_off(self) -> None:
+        if self._switched:
+            self._ctx.enable_only(moderngl.NOTHING)
+            self._ctx.depth_func = "<"
+            self._switched = False
 
     def host(self) -> contextlib.AbstractContextManager[None]:
         """Return a block, in a drawing block, for the framebuffers of the program whose context was adopted.

@@ -262,7 +262,7 @@ class GlBackend:
 
     def working(self) -> AbstractContextManager[object]:
         """Return a block of calls."""
-        return self.context.drawing()
+        return self.context.working()
 
     def show(self) -> None:
         """Bring what was composed into a window's number to the window."""
