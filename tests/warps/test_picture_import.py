@@ -14,6 +14,7 @@ from benchmarks.submission.gl_calls import GlCalls
 from wlr_render.draw.gl_raster import NEAR_M, GlRaster
 from wlr_render.errors import BadInputError
 from wlr_render.gl.context import GlContext
+from wlr_render.gl.framebuffers import TextureLayer
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.gpu_image import GpuImage
@@ -175,26 +176,38 @@ def test_a_framebuffer_with_any_depth_is_copied(gl_context: GlContext, take: Pic
     assert_halves(take.from_framebuffer(CAMERA, theirs.glo, WINDOW).read())
 
 
-def test_textures_of_a_framebuffer_are_read_in_place(compositor: Callable[..., Compositor]) -> None:
-    calls, shown = GlCalls(), {}
+def test_textures_are_read_in_place(compositor: Callable[..., Compositor]) -> None:
+    """A framebuffer's, by name, in a rectangle, and in layers of arrays; renderbuffers are copied."""
+    calls, shown = GlCalls(), []
     with calls.counted():
         made = compositor(planar(), context="egl")
         (camera,) = made.begin_frame(HEAD, viewpoint(planar())).values()
-        size = camera.view.camera.size_px
+        size = width, height = camera.view.camera.size_px
         with made.context.drawing() as ctx:
-            of_textures = ctx.framebuffer([ctx.texture(size, 4)], ctx.depth_texture(size))
-            of_buffers = ctx.simple_framebuffer(size)
+            colour, depth = ctx.texture(size, 4), ctx.depth_texture(size)
+            of_textures, of_buffers = ctx.framebuffer([colour], depth), ctx.simple_framebuffer(size)
             for each in (of_textures, of_buffers):
                 each.clear(0.2, 0.4, 0.6, 1.0, depth=0.5)
-                each.clear(0.6, 0.2, 0.4, 1.0, depth=0.25, viewport=(0, 0, size[0], size[1] // 2))
-        for theirs, copies in ((of_textures, 0), (of_buffers, 2)):
+                each.clear(0.6, 0.2, 0.4, 1.0, depth=0.25, viewport=(0, 0, width, height // 2))
+            pixels = np.frombuffer(colour.read(), np.uint8).reshape(height, width, 4)
+            beside = ctx.texture((2 * width, height), 4, np.ascontiguousarray(np.hstack([0 * pixels, pixels])))
+            layers = ctx.texture_array((*size, 2), 4, np.stack([0 * pixels, pixels]))
+        for picture, copies in (
+            ((of_buffers, None), 2),
+            ((of_textures, None), 0),
+            ((of_textures.glo, None), 0),
+            ((colour.glo, depth.glo), 0),
+            ((TextureLayer(beside, rect_px=(width, 0, *size)), depth), 0),
+            ((TextureLayer(layers.glo, 1), depth.glo), 0),
+        ):
             made.begin_frame(HEAD, viewpoint(planar()))
             calls.start()
-            made.submit(theirs, stored=WINDOW)
+            made.submit(*picture, eye="right", stored=WINDOW)
             assert calls.found().get("glBlitFramebuffer", 0) == copies
-            shown[copies] = made.compose(pose=MOVED).read()
+            shown.append(made.compose(pose=MOVED).read())
         made.release()
-    np.testing.assert_array_equal(shown[0], shown[2])
+    for other in shown[1:]:
+        np.testing.assert_array_equal(other, shown[0])
     assert len(np.unique(shown[0].reshape(-1, 3), axis=0)) > 1
 
 
@@ -248,9 +261,9 @@ def test_bad_textures_are_refused_in_a_sentence(gl_context: GlContext, take: Pic
         gone.release()
     for bad, told in (
         (gone, "has been released"),
-        (small, "The colour texture has 3x4 pixels, the camera 64x48"),
-        (numbers, "4 components of 'u1'"),
-        (drawn.inverse_depth, "1 components of 'f4': it needs 3"),
+        (small, r"texture \d+ has 3x4 pixels, the camera 64x48"),
+        (numbers, "holds whole numbers for colours: use RGBA8"),
+        (drawn.inverse_depth, "holds no red, green and blue for colours: use RGBA8"),
     ):
         with pytest.raises(BadInputError, match=told):
             take.from_textures(CAMERA, bad, drawn.inverse_depth, INVERSE)

@@ -16,7 +16,7 @@ from wlr_render.gl.framebuffers import TextureLayer
 from wlr_render.numerics.arrays import Float32Array
 from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.picture_import import PictureImport
-from wlr_render.warp.stored_picture import DepthKind, StoredDepth
+from wlr_render.warp.stored_picture import DepthKind, StoredColour, StoredDepth
 
 pytestmark = pytest.mark.gl
 
@@ -162,11 +162,17 @@ def test_a_framebuffer_with_layers_as_attachments(gl_context: GlContext, take: P
 
 
 def test_floats_keep_more_than_bytes(gl_context: GlContext, take: PictureImport) -> None:
+    """Where they lie, and copied from a mip level."""
     light = np.full((HEIGHT, WIDTH, 4), 0.50098, np.float16)
     with gl_context.drawing() as ctx:
-        colour, depth = ctx.texture(SIZE, 4, light, dtype="f2"), ctx.texture(SIZE, 1, DEPTHS, dtype="f4")
-        copied, _ = vars(take)["_copy"].copy_layers([TextureLayer(colour), TextureLayer(depth)], SIZE, INVERSE)
-        np.testing.assert_array_equal(gl.read(copied, np.float16), light)
+        plain, level = ctx.texture(SIZE, 4, light, dtype="f2"), ctx.texture((2 * WIDTH, 2 * HEIGHT), 4, dtype="f2")
+        depth = ctx.texture(SIZE, 1, DEPTHS, dtype="f4")
+        level.build_mipmaps()
+        level.write(light, level=1)
+    for given in (TextureLayer(plain), TextureLayer(level, level=1)):
+        taken = take.take(CAMERA, given, depth, INVERSE, stored_colour=StoredColour("linear"))
+        with gl_context.drawing():
+            np.testing.assert_array_equal(gl.read(taken.colour, np.float16)[..., :3], light[..., :3])
 
 
 def test_bad_layers_are_refused_in_a_sentence(gl_context: GlContext, take: PictureImport) -> None:

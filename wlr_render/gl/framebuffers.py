@@ -9,7 +9,7 @@ import ctypes
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any, Generic, TypeVar
 
@@ -27,7 +27,11 @@ _CODING, _SRGB = 0x8210, 0x8C40  # GL_FRAMEBUFFER_ATTACHMENT_COLOR_ENCODING
 _TEXTURE, _RENDERBUFFER, _SAMPLES = 0x1702, 0x8D41, 0x80A9
 _CUBE_MAP, _MULTISAMPLED_ARRAY = 0x8513, 0x9102
 # 2D, 2D array, multisampled, multisampled array, rectangle, 3D; and the queries of the bindings of all targets.
-_TARGETS = 0x0DE1, 0x8C1A, 0x9100, _MULTISAMPLED_ARRAY, 0x84F5, 0x806F
+TEXTURE_2D, TEXTURE_2D_ARRAY = 0x0DE1, 0x8C1A
+_TARGETS = TEXTURE_2D, TEXTURE_2D_ARRAY, 0x9100, _MULTISAMPLED_ARRAY, 0x84F5, 0x806F
+_BASE_LEVEL, _SWIZZLE, _PLAIN = 0x813C, 0x8E46, [0, 0x1903, 0x1904, 0x1905, 0x1906]
+# GL_TEXTURE_RED_TYPE, _DEPTH_TYPE, _RED_SIZE, _BLUE_SIZE, _DEPTH_SIZE, _STENCIL_SIZE, _INTERNAL_FORMAT
+_SAMPLED, _SRGB_FORMATS = (0x8C10, 0x8C16, 0x805C, 0x805E, 0x884A, 0x88F1, 0x1003), (0x8C41, 0x8C43)
 _BINDINGS = dict(zip((*_TARGETS, _CUBE_MAP), (0x8069, 0x8C1D, 0x9104, 0x9105, 0x84F6, 0x806A, 0x8514), strict=True))
 _LEVELS = 16  # mip levels of a side of 32768 pixels, the longest of any driver
 _LAYERS = 0x8071  # GL_TEXTURE_DEPTH
@@ -242,17 +246,10 @@ class FramebufferQueries:
         if image.is_renderbuffer:
             self.gl("glBindRenderbuffer", _UINT, _UINT)(_RENDERBUFFER, image.name)
             read = self.gl("glGetRenderbufferParameteriv", _UINT, _UINT, ctypes.c_void_p)
-            return _two(lambda enum, at: read(_RENDERBUFFER, enum, at), _RENDERBUFFER_WIDTH, _RENDERBUFFER_HEIGHT)
-        read_level = self.gl("glGetTexLevelParameteriv", _UINT, _INT, _UINT, ctypes.c_void_p)
-        for target in [_CUBE_MAP] if image.face else _TARGETS:
-
-            def read_size(of: int = image.face or target) -> tuple[int, int]:
-                return _two(lambda enum, at: read_level(of, image.level, enum, at), _WIDTH, _HEIGHT)
-
-            found = self._with_texture(target, image.name, read_size)
-            if found is not None:
-                return found
-        return 0, 0
+            width, height = _numbers(read, _RENDERBUFFER, _RENDERBUFFER_WIDTH, _RENDERBUFFER_HEIGHT)
+            return width, height
+        found = self._of_level(image, _WIDTH, _HEIGHT)
+        return (0, 0) if found is None else (found[1][0], found[1][1])
 
     def check_layer(self, image: Image) -> None:
         """Check that a texture has the layer and level.
@@ -260,26 +257,56 @@ class FramebufferQueries:
         Raises:
             BadInputError: it has fewer.
         """
-        read_level = self.gl("glGetTexLevelParameteriv", _UINT, _INT, _UINT, ctypes.c_void_p)
-        for target in _TARGETS:
-
-            def layers(level: int, of: int = target) -> int:
-                width, count = _two(lambda enum, at: read_level(of, level, enum, at), _WIDTH, _LAYERS)
-                return max(count, 1) if width else 0
-
-            found = self._with_texture(target, image.name, lambda: layers(image.level))
-            if found is None:
-                continue
-            if not found:
-                self._context.take_error()
-                levels = self._with_texture(target, image.name, lambda: sum(map(bool, map(layers, range(_LEVELS)))))
-                self._context.take_error()
-                raise BadInputError(
-                    f"texture {image.name} has no level {image.level}; it has {levels}, counted from 0."
-                )
-            if image.layer >= found:
-                raise BadInputError(f"texture {image.name} has no layer {image.layer}; it has {found}, counted from 0.")
+        found = self._of_level(image, _WIDTH, _LAYERS)
+        if found is None:
             return
+        width, layers = found[1]
+        if not width:
+            self._context.take_error()
+            levels = [self._of_level(replace(image, level=level), _WIDTH) for level in range(_LEVELS)]
+            self._context.take_error()
+            count = sum(bool(each and each[1][0]) for each in levels)
+            raise BadInputError(f"texture {image.name} has no level {image.level}; it has {count}, counted from 0.")
+        if image.layer >= (layers := max(layers, 1)):
+            raise BadInputError(f"texture {image.name} has no layer {image.layer}; it has {layers}, counted from 0.")
+
+    def sampled(self, image: Image) -> "tuple[int, ImageFormat] | None":
+        """Return target and format of a texture whose image shaders can read as it is: 2D or 2D array; else None."""
+        if image.is_renderbuffer or image.level or image.face:
+            return None
+        read_level = self.gl("glGetTexLevelParameteriv", _UINT, _INT, _UINT, ctypes.c_void_p)
+        read, settings = self.gl("glGetTexParameteriv", _UINT, _UINT, ctypes.c_void_p), (_INT * 5)()
+        for target in (TEXTURE_2D, TEXTURE_2D_ARRAY):
+
+            def asked(of: int = target) -> list[int]:
+                read(of, _BASE_LEVEL, ctypes.addressof(settings))
+                read(of, _SWIZZLE, ctypes.addressof(settings) + ctypes.sizeof(_INT))
+                return _numbers(lambda to, enum, at: read_level(to, 0, enum, at), of, *_SAMPLED)
+
+            found = self._with_texture(target, image.name, asked)
+            if found is not None:
+                red_type, depth_type, red, blue, depth, stencil, internal = found
+                numbers = depth_type if depth else red_type
+                is_srgb = internal in _SRGB_FORMATS
+                return (
+                    (target, ImageFormat(numbers, red, blue, depth, stencil, is_srgb))
+                    if [*settings] == _PLAIN
+                    else None
+                )
+        return None
+
+    def _of_level(self, image: Image, *enums: int) -> tuple[int, list[int]] | None:
+        """Return the target of a texture and numbers of glGetTexLevelParameter; None for an unknown kind."""
+        read = self.gl("glGetTexLevelParameteriv", _UINT, _INT, _UINT, ctypes.c_void_p)
+        for target in [_CUBE_MAP] if image.face else _TARGETS:
+
+            def asked(of: int = image.face or target) -> list[int]:
+                return _numbers(lambda to, enum, at: read(to, image.level, enum, at), of, *enums)
+
+            found = self._with_texture(target, image.name, asked)
+            if found is not None:
+                return target, found
+        return None
 
     def _with_texture(self, target: int, name: int, read: Callable[[], _Made]) -> _Made | None:
         """Bind a texture to a target and return the result of `read`; None if the texture has another target."""
@@ -303,11 +330,11 @@ class FramebufferQueries:
         return number.value
 
 
-def _two(read: Callable[..., None], *enums: int) -> tuple[int, int]:
-    numbers = (_INT * 2)()
+def _numbers(read: Callable[..., None], target: int, *enums: int) -> list[int]:
+    numbers = (_INT * len(enums))()
     for k, enum in enumerate(enums):
-        read(enum, ctypes.addressof(numbers) + k * ctypes.sizeof(_INT))
-    return numbers[0], numbers[1]
+        read(target, enum, ctypes.addressof(numbers) + k * ctypes.sizeof(_INT))
+    return list(numbers)
 
 
 class ImageCache(Generic[_Made]):

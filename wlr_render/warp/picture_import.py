@@ -1,7 +1,6 @@
 """Import of pictures that other programs rendered, as the GPU images that the warp reads."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole, pixels_from
 from wlr_render.gl import gl
 from wlr_render.gl.framebuffers import TextureLayer, is_number
+from wlr_render.warp.given_pictures import GivenPictures, Source
 from wlr_render.warp.gpu_image import GpuImage
-from wlr_render.warp.picture_copy import PictureCopy
 from wlr_render.warp.stored_picture import (
     CODES,
     COLOUR_TYPES,
@@ -24,7 +23,6 @@ from wlr_render.warp.stored_picture import (
     StoredDepth,
     check_arrays,
     check_colour_array,
-    check_depth_format,
 )
 
 BORDER = 0.1
@@ -36,10 +34,11 @@ class PictureImport:
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context = context
-        self._copy = PictureCopy(context)
         self._targets = gl.RenderTargets(context)
         with context.drawing():
-            self._imports = [context.full_screen("import_picture.frag", DECODE=decode, INSET=0) for decode in (0, 1)]
+            self._given = GivenPictures(context)
+            for decodes in (False, True):
+                self._program(decodes, [None, None])
             self._samplers = {"srgb": context.plain_sampler(), "linear": context.plain_sampler(decodes=True)}
 
     def take(
@@ -71,7 +70,7 @@ class PictureImport:
             stored_colour = StoredColour(colour.encoding, alpha=colour.has_alpha)
             stored = StoredDepth(DepthKind.INVERSE)
             with self._context.drawing():
-                given = _Given((colour.colour, colour.inverse_depth))
+                given = [_own(colour.colour), _own(colour.inverse_depth)]
                 return self._take(camera, given, stored, Rows.TOP_FIRST, stored_colour, wider)
         if isinstance(colour, np.ndarray) and (isinstance(depth, np.ndarray) or (wider and not has_depth)):
             return self.from_arrays(camera, colour, depth, stored, rows or Rows.TOP_FIRST, stored_colour, wider)
@@ -105,14 +104,14 @@ class PictureImport:
         with self._context.drawing():
             return self._take(camera, self._uploaded(colour, depth), stored, rows, stored_colour, wider)
 
-    def _uploaded(self, colour: NDArray[Any], depth: NDArray[np.float32] | None) -> "_Given":
+    def _uploaded(self, colour: NDArray[Any], depth: NDArray[np.float32] | None) -> list[Source]:
         height, width, components = colour.shape
         kind = components, COLOUR_TYPES[str(colour.dtype)]
         formats = [kind] if depth is None else [kind, (1, "f4")]
         textures = self._targets.get(f"{formats} uploaded", (width, height), *formats).textures
         for texture, array in zip(textures, (colour, depth), strict=False):
             texture.write(np.ascontiguousarray(array), alignment=1)
-        return _Given(textures)
+        return list(map(_own, textures))
 
     def from_textures(
         self,
@@ -126,9 +125,8 @@ class PictureImport:
     ) -> GpuImage:
         """Return a picture in textures of the image's context; see `is_texture`. The depth may be None.
 
-        ModernGL's textures are read as they are, the depth in their first channel. Other textures, and multisampled
-        ones, are copied on the GPU first; see `from_framebuffer`. The depth may have a depth format, or be the first
-        component of a colour format.
+        Plain textures and layers of arrays are read as they are; others are copied first, see `given_pictures`. The
+        depth may have a depth format, or be the first component of a colour format.
 
         Raises:
             BadInputError: a texture of another context or size, or of a format that cannot be read or copied; no such
@@ -138,20 +136,13 @@ class PictureImport:
             given = self._textures(camera.size_px, colour, depth, stored)
             return self._take(camera, given, stored, rows, stored_colour, wider)
 
-    def _textures(self, size: tuple[int, int], colour: Any, depth: Any, stored: StoredDepth) -> "_Given":
+    def _textures(self, size: tuple[int, int], colour: Any, depth: Any, stored: StoredDepth) -> list[Source]:
         named = [("colour", colour)] + ([] if depth is None else [("depth", depth)])
-        is_read = [isinstance(each, gl.Texture) and (gl.is_released(each) or not each.samples) for _, each in named]
-        if all(is_read):
-            for (name, texture), least_components in zip(named, (3, 1), strict=False):
-                _check_texture(self._context, name, texture, size, least_components)
-            if depth is not None and depth.depth:
-                check_depth_format(stored)
-            return _Given([texture for _, texture in named], is_callers=True)
         for name, each in named:
             texture = each.texture if isinstance(each, TextureLayer) else each
             if not is_number(texture):
                 _check_context(self._context, f"{name} texture", texture)
-        return _Given(self._copy.copy_layers([each for _, each in named], size, stored))
+        return self._given.of_textures([each for _, each in named], size, stored)
 
     def colour_alone(self, picture: Any, stored_colour: StoredColour, rows: Rows | None = None) -> gl.Texture:
         """Return a picture without depth and camera as the texture of its colours, of a format of `GpuImage.colour`.
@@ -185,7 +176,7 @@ class PictureImport:
         if isinstance(layer.texture, gl.Texture) and not layer.level:
             return layer.rect_in(layer.texture.size)[1]
         with self._context.drawing():
-            return self._copy.size_of(layer)
+            return self._given.size_of(layer)
 
     def from_framebuffer(
         self,
@@ -196,11 +187,10 @@ class PictureImport:
         stored_colour: StoredColour = CODES,
         wider: GpuImage | None = None,
     ) -> GpuImage:
-        """Return a picture in a framebuffer object of the image's context, ModernGL's or by its OpenGL number.
+        """Return a picture in a framebuffer object, ModernGL's or by its OpenGL number.
 
-        ModernGL's textures in ModernGL's framebuffers are read as they are; others are copied on the GPU. Of several
-        samples per pixel colours are averaged; of their depths OpenGL takes one, usually sample 0, which lies up to
-        half a pixel from the centre.
+        Its textures are read as `from_textures` reads them. Of several samples per pixel colours are averaged; of their
+        depths OpenGL takes one, usually sample 0, which lies up to half a pixel from the centre.
 
         Raises:
             BadInputError: a framebuffer of another context or size, or whose colour or depth is missing or of a kind
@@ -209,22 +199,24 @@ class PictureImport:
         if not is_number(framebuffer):
             _check_context(self._context, "framebuffer", framebuffer)
         with self._context.drawing():
-            textures = _attached_textures(framebuffer, camera.size_px)
-            if textures is not None:
-                check_depth_format(stored)
-                given = _Given(textures, is_callers=True)
-            else:
-                given = _Given(self._copy.copy_framebuffer(framebuffer, camera.size_px, stored))
+            given = self._given.of_framebuffer(framebuffer, camera.size_px, stored)
             return self._take(camera, given, stored, rows, stored_colour, wider)
 
     def inset_program(self) -> gl.VertexArray:
         """Return the drawing of insets, compiled when it is first asked for."""
-        return self._context.full_screen("import_picture.frag", DECODE=0, INSET=1)
+        return self._program(False, [None, None], is_inset=True)
+
+    def _program(self, decodes: bool, layers: Sequence[int | None], is_inset: bool = False) -> gl.VertexArray:
+        """Return the drawing of pictures whose colour and depth are in these layers of textures, None if plain."""
+        of_layers = dict(
+            zip(("COLOUR_LAYERS", "DEPTH_LAYERS"), (int(each is not None) for each in layers), strict=True)
+        )
+        return self._context.full_screen("import_picture.frag", DECODE=int(decodes), INSET=int(is_inset), **of_layers)
 
     def _take(
         self,
         camera: Pinhole,
-        given: "_Given",
+        given: Sequence[Source],
         stored: StoredDepth,
         rows: Rows,
         stored_colour: StoredColour,
@@ -236,7 +228,7 @@ class PictureImport:
 
     def _drawn(
         self,
-        given: "_Given",
+        given: Sequence[Source],
         stored: StoredDepth,
         rows: Rows,
         stored_colour: StoredColour,
@@ -246,19 +238,20 @@ class PictureImport:
 
         A caller's textures may have any filter, so that they are read by a sampler of ours.
         """
-        colour, has_depth = given.textures[0], len(given.textures) > 1
+        colour, depth = given[0], given[-1]
+        has_depth = len(given) > 1
         codes = stored_colour.encoding == "srgb"
-        if codes and not self._context.reads_srgb_codes and self._context.has_srgb_format(colour):
+        if codes and not self._context.reads_srgb_codes and colour.is_srgb:
             codes = False  # OpenGL has decoded them
         # The codes of an inset are decoded, to be mixed with the wider picture's light.
-        in_bytes = codes and stored_colour.bits == 8 and colour.dtype in ("f1", "nu1") and inset is None
+        in_bytes = codes and stored_colour.bits == 8 and colour.is_8_bit and inset is None
         formats = [(4, "srgb" if in_bytes else "f2"), (1, "f4")][: 2 if has_depth or inset is not None else 1]
-        target = self._targets.get(f"picture {formats}", colour.size, *formats)
+        target = self._targets.get(f"picture {formats}", colour.size_px, *formats)
         self._context.draw_to(target.framebuffer)
         decodes = codes and not in_bytes
-        drawing = self._imports[decodes] if inset is None else self.inset_program()
+        drawing = self._program(decodes and inset is None, [colour.layer, depth.layer], inset is not None)
         program = drawing.program
-        textures = {"stored_colour": colour, "stored_depth": given.textures[-1]}
+        textures = {"stored_colour": colour.texture, "stored_depth": depth.texture}
         if inset is not None:
             camera, wider = inset
             gl.read_between_texels(wider.colour)
@@ -272,9 +265,13 @@ class PictureImport:
             )
         gl.bind_textures(program, **textures)
         # Codes of fewer bits than the numbers of a uint16 texture, which holds 65535 as 1.
-        of_largest = 65535 / ((1 << stored_colour.bits) - 1) if not given.is_callers and colour.dtype == "nu2" else 1.0
+        is_uint16 = isinstance(colour.texture, gl.Texture) and colour.texture.dtype == "nu2"
+        of_largest = 65535 / ((1 << stored_colour.bits) - 1) if is_uint16 else 1.0
         gl.set_uniforms(
             program,
+            size_px=colour.size_px,
+            firsts_px=(*colour.first_px, *depth.first_px),
+            layers=(float(colour.layer or 0), float(depth.layer or 0)),
             bottom_first=rows is Rows.BOTTOM_FIRST,
             scale=(*[of_largest] * 3, of_largest if stored_colour.alpha else 0.0),
             opaque=0.0 if stored_colour.alpha else 1.0,
@@ -283,7 +280,7 @@ class PictureImport:
             limits=stored.limits,
             nothing=stored.nothing,
         )
-        units = range(2 if given.is_callers or gl.is_srgb(colour) else 0)
+        units = range(2 if any(each.is_callers or each.is_srgb for each in given) else 0)
         for unit in units:
             self._samplers[stored_colour.encoding].use(unit)
         drawing.render(vertices=3)
@@ -292,26 +289,8 @@ class PictureImport:
         return target.textures
 
 
-@dataclass(frozen=True, eq=False)
-class _Given:
-    """A picture's colours, and depth if it has one, in textures of one size; whether they are the caller's."""
-
-    textures: Sequence[gl.Texture]
-    is_callers: bool = False
-
-
-def _attached_textures(framebuffer: gl.Framebuffer | int, size: tuple[int, int]) -> list[gl.Texture] | None:
-    """Return colour and depth of a ModernGL framebuffer if both are textures that can be read as they are."""
-    if not isinstance(framebuffer, gl.Framebuffer):
-        return None
-    attached = [*(framebuffer.color_attachments or ())[:1], framebuffer.depth_attachment]
-    textures = [each for each in attached if isinstance(each, gl.Texture) and not gl.is_released(each)]
-    if len(textures) < 2 or any(each.samples or each.size != size for each in textures):
-        return None
-    colour, depth = textures
-    # Whole numbers of 16 bits may be RGB10_A2, which only the copy asks for.
-    is_read = colour.dtype in ("f1", "f2", "f4") and colour.components >= 3 and depth.depth
-    return textures if is_read else None
+def _own(texture: gl.Texture) -> Source:
+    return Source(texture, texture.size, is_8_bit=texture.dtype in ("f1", "nu1"), is_srgb=gl.is_srgb(texture))
 
 
 def is_texture(value: Any) -> bool:
@@ -325,20 +304,4 @@ def _check_context(context: gl.GlContext, name: str, thing: Any) -> None:
     if not context.has(thing):
         raise BadInputError(
             f"The {name} belongs to another ModernGL context: adopt that one, or hand the picture over as arrays."
-        )
-
-
-def _check_texture(
-    context: gl.GlContext, name: str, texture: gl.Texture, size: tuple[int, int], least_components: int
-) -> None:
-    _check_context(context, f"{name} texture", texture)
-    if texture.size != size:
-        raise BadInputError(
-            f"The {name} texture has {texture.size[0]}x{texture.size[1]} pixels, the camera {size[0]}x{size[1]}: draw "
-            "with that camera."
-        )
-    if not texture.dtype.startswith(("f", "nu")) or texture.components < least_components:
-        raise BadInputError(
-            f"The {name} texture has {texture.components} components of '{texture.dtype}': it needs {least_components} "
-            "that are read as fractions ('f1', 'nu2', 'f2' or 'f4')."
         )
