@@ -207,7 +207,7 @@ def test_counts_that_the_file_cannot_have_are_refused(count: int, program: str, 
 
 
 def test_devices_are_refused(northstar_view: ExportedView, tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match="the format c holds planar models only; calibrate the headset"):
+    with pytest.raises(BadInputError, match="the formats c and page hold planar models only; calibrate the headset"):
         list(CModel().write([northstar_view], tmp_path))
     assert not list(tmp_path.iterdir())
 

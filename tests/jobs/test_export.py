@@ -55,7 +55,7 @@ def test_every_format_has_a_name_a_page_and_files(straight_device: str, model_fi
     for name, form in zip(get_args(FormatName), FORMATS, strict=True):
         if not form.holds.every_pixel:
             continue  # takes seconds, and has tests of its own
-        report = exported(name, model_file if name == "c" else straight_device, tmp_path / name)
+        report = exported(name, model_file if form.holds.every_pupil else straight_device, tmp_path / name)
         page = (tmp_path / name / "report.md").read_text(encoding="utf-8")
         assert all(path.is_file() for path in report.files)
         steps = [step.replace("NAME", "right").replace("WxH", "64x36") for step in form.use]

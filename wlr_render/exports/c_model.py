@@ -68,8 +68,8 @@ def model_bytes(view: ExportedView, colour: str) -> bytes:
     eye, camera = view.mappings(colour), view.source.camera
     if not is_planar(eye):
         raise BadInputError(
-            f"{eye.name}: the format c holds planar models only; calibrate the headset, or choose another format, e.g. "
-            "rays."
+            f"{eye.name}: the formats c and page hold planar models only; calibrate the headset, or choose another "
+            "format, e.g. rays."
         )
     display, see_through = require_planar(eye)
     edges = np.stack([camera.tangent_min, camera.tangent_max], axis=1)

@@ -28,7 +28,8 @@ def export(
     Args:
         eye: an eye of a headset, from `open_eye` or `calibrate`.
         folder: output folder; created if missing.
-        format: "stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh", "mrcal" or "c"; docs/exports.md describes them.
+        format: "stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh", "mrcal", "c" or "page"; docs/exports.md
+            describes them.
         viewpoint: (3,) centre of the entrance pupil in the device frame, metres; the centre of the eye box by default.
         depth_m: depth from the source camera at which the maps are correct; infinite by default. The files of "rays"
             serve every depth.

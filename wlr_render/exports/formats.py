@@ -7,11 +7,16 @@ from wlr_render.exports.format import Format
 from wlr_render.exports.mesh import GltfMesh
 from wlr_render.exports.monado import Monado
 from wlr_render.exports.mrcal import Mrcal
+from wlr_render.exports.page import Page
 from wlr_render.exports.pixel_maps import Ffmpeg, FloatMap, Npz, Rays, StMap
 
-FormatName = Literal["stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh", "monado", "mrcal", "c"]
+FormatName = Literal["stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh", "monado", "mrcal", "c", "page"]
 _FLOAT_MAPS = FloatMap("pfm"), FloatMap("tiff")
-FORMATS: tuple[Format, ...] = (StMap(), Rays(), *_FLOAT_MAPS, Ffmpeg(), Npz(), GltfMesh(), Monado(), Mrcal(), CModel())
+_FILES_OF_MODELS = CModel(), Page()
+FORMATS: tuple[Format, ...] = (
+    *(StMap(), Rays(), *_FLOAT_MAPS, Ffmpeg(), Npz(), GltfMesh(), Monado(), Mrcal()),
+    *_FILES_OF_MODELS,
+)
 
 
 def format_of(name: str) -> Format:
