@@ -247,16 +247,16 @@ class ModelFit(Generic[AnyModel]):
 
     def predicted_arcmin(self, model: AnyModel) -> float:
         """Rms of the standard error of a model like this one over its eye box, at what the captures saw."""
-        return float(np.sqrt(np.nanmean(model.sigma(*self._tested(model)) ** 2)))
+        return float(np.sqrt(np.nanmean(model.sigma(*self.tested(model)) ** 2)))
 
-    def _tested(self, model: AnyModel) -> tuple[FloatArray, FloatArray]:
+    def tested(self, model: AnyModel) -> tuple[FloatArray, FloatArray]:
         """Return pixels (n, 2) or points (n, 3) of captures at random, and viewpoints (n, 3) of the eye box."""
         rng = np.random.default_rng(0)
         rows = rng.integers(0, len(self.captures), _TESTED)
-        return self._subject(self.captures)[rows], model.eye_box.at(rng.uniform(-1.0, 1.0, (_TESTED, 3)))
+        return self.subject(self.captures)[rows], model.eye_box.at(rng.uniform(-1.0, 1.0, (_TESTED, 3)))
 
     def _shares(self) -> tuple[ErrorShare, ...]:
-        subject, viewpoint = self._tested(self.mapping)
+        subject, viewpoint = self.tested(self.mapping)
         answer = self.mapping.view_dir(subject, viewpoint).value
         errors = self.mapping.direction_errors(subject, viewpoint, answer)
         square = np.nanmean(np.sum(errors.shared**2, axis=1), axis=0) / ARCMIN**2
@@ -273,12 +273,13 @@ class ModelFit(Generic[AnyModel]):
         return tuple(sorted(found, key=lambda each: -each.arcmin))
 
     @staticmethod
-    def _subject(captures: DisplayCaptures | SeeThroughCaptures) -> FloatArray:
+    def subject(captures: DisplayCaptures | SeeThroughCaptures) -> FloatArray:
+        """Return the panel pixels (n, 2) or real points (n, 3) of captures."""
         return captures.pixel if isinstance(captures, DisplayCaptures) else captures.point
 
     def seen(self, captures: DisplayCaptures | SeeThroughCaptures) -> QueryResult:
         """View directions that the model predicts for captures of the kind that it was fitted to."""
-        return self.mapping.view_dir(self._subject(captures), captures.viewpoint)
+        return self.mapping.view_dir(self.subject(captures), captures.viewpoint)
 
     @property
     def _has_places(self) -> bool:
@@ -294,7 +295,7 @@ class ModelFit(Generic[AnyModel]):
             return []
         captures, found = self.captures, []
         for axis, noun in enumerate(("column", "row")):
-            band = _bands(captures.viewpoint[:, axis], captures.capture)
+            band = bands(captures.viewpoint[:, axis], captures.capture)
             count = int(band.max()) + 1
             for number in range(count if count > 1 else 0):
                 out = band == number
@@ -319,7 +320,7 @@ class ModelFit(Generic[AnyModel]):
                 place[:, axis], place[:, 1 - axis] = level, along
                 places.append(place)
             rows = np.random.default_rng(0).integers(0, len(self.captures), 200)
-            subject = self._subject(self.captures)[rows][:, None]
+            subject = self.subject(self.captures)[rows][:, None]
             sure = [np.nanmean(self.mapping.sigma(subject, place[None]) ** 2) for place in places]
             worst = places[int(np.argmax(sure))]
             predicted = self.predicted_arcmin(self.with_positions(worst))
@@ -369,7 +370,7 @@ class ModelFit(Generic[AnyModel]):
         return further
 
 
-def _bands(coordinate: FloatArray, capture: IntArray) -> IntArray:
+def bands(coordinate: FloatArray, capture: IntArray) -> IntArray:
     """Return the number (n,) of each row's band along a coordinate (n,); bands have about equally many captures."""
     _, first, position = np.unique(capture, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(coordinate[first], kind="stable"), kind="stable")

@@ -24,7 +24,7 @@ def calibrate(options: CalibrateOptions, *, progress: ProgressArgument = SILENT)
     if subject is Subject.PHOTOGRAPHS:
         from wlr_render.jobs.calibrate.photos import calibrated, report_of
 
-        return report_of(calibrated(options, progress=progress), options)
+        return report_of(calibrated(options, progress=progress), options, progress)
     if subject is Subject.DEVICE:
         from wlr_render.jobs.calibrate.calibrate_device import calibrate_device
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from wlr_render.calibration.fit_eye import Calibration
+from wlr_render.calibration.fit_eye import Calibration, KindComparison
 from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.truth_tests import PIXEL_DIRECTION, POINT_DIRECTION, TEST_DEPTHS_M, TESTS, TruthTests
@@ -15,6 +15,7 @@ from wlr_render.jobs.calibrate.calibrate_options import (
     save_models,
 )
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
+from wlr_render.jobs.calibrate.validate import validated, with_validations
 from wlr_render.jobs.options import ProgressArgument, eyes_of, seed_of
 from wlr_render.mappings import Eye
 from wlr_render.optics.device_file import device_path, load_device
@@ -38,9 +39,10 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
         options.fit.prescription_of(eye)
     blocks: list[Block] = []
     captures, fits, sentences = {}, [], []
+    comparisons: dict[str, KindComparison] = {}
     for eye, truth in progress(truths.items(), len(truths), "eyes"):
         captures[eye] = simulate_captures(truth, options)
-        comparison = options.fit.fit(captures[eye])
+        comparison = comparisons[eye] = options.fit.fit(captures[eye])
         fit = comparison.chosen
         fields = {} if truth.field is None else {"in the nominal field": truth.field}
         tests = {
@@ -60,7 +62,7 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
     remove_results(folder, list(captures))
     model, notes = save_models(folder, fits)
     files = [model, *(each.save(folder / f"captures-{eye}.npz") for eye, each in captures.items())]
-    return Report(
+    report = Report(
         f"Calibration of {device.name}, simulated",
         verdict=" ".join(sentences),
         advice=_of_each(fits, fit_advice),
@@ -73,6 +75,8 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
             "fits": {fit.mappings.eye: fit.model().report for fit in fits},
         },
     )
+    validations = {eye: validated(each, options, folder, progress) for eye, each in comparisons.items()}
+    return with_validations(report, validations)
 
 
 def simulate_captures(truth: Eye, options: CalibrateOptions) -> Captures:

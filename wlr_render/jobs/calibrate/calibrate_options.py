@@ -40,7 +40,7 @@ RESULTS = (("captures", ".npz"), ("station", ".json"))
 
 
 _FIT = option_group("Fit", 1)
-_PHOTOGRAPHS = option_group("Session of photographs", 2)
+_PHOTOGRAPHS = option_group("Session of photographs, or --validate", 2)
 _BENCH = option_group("Bench session", 3)
 _DEVICE = option_group("Simulated captures (only if PATH is a device)", 4)
 
@@ -168,17 +168,26 @@ class CalibrateOptions(SpreadOptions):
     ] = Path("out/calibrate")
     against: Against = None
     fit: FitOptions = DEFAULT_FIT
+    validate: Annotated[
+        bool,
+        described(
+            "Test the stated errors by some thirty refits, to drawn noise and to parts of the camera positions; an "
+            "interrupted run continues.",
+            flag=True,
+        ),
+    ] = False
     workers: Annotated[
         int | None,
         described(
-            "Number of processes that read the photographs (default: one per core, fewer where memory limits).",
+            "Number of processes that read the photographs, and that refit (default: one per core, fewer where memory "
+            "limits).",
             group=_PHOTOGRAPHS,
         ),
         WORKERS,
     ] = None
     scheduler: Annotated[
         str | None,
-        described("Address of a Dask scheduler, whose workers read them (docs/clusters.md).", group=_PHOTOGRAPHS),
+        described("Address of a Dask scheduler, whose workers do both (docs/clusters.md).", group=_PHOTOGRAPHS),
     ] = None
     bench: Annotated[
         Path | None,
@@ -235,6 +244,8 @@ class CalibrateOptions(SpreadOptions):
         for field in dataclasses.fields(self):
             groups = [note.group for note in getattr(hints[field.name], "__metadata__", ()) if hasattr(note, "group")]
             applies = next((each for each, group in _GROUPS.items() if any(group in some for some in groups)), subject)
+            if self.validate and applies is Subject.PHOTOGRAPHS:
+                continue  # its processes refit as well
             if applies is not subject and getattr(self, field.name) != field.default:
                 raise BadInputError(
                     f"{flag_of(type(self), field.name)} is used with {applies} only, and {self.path} is {subject}; "

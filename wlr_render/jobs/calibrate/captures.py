@@ -15,6 +15,7 @@ from wlr_render.jobs.calibrate.calibrate_options import (
     save_models,
 )
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
+from wlr_render.jobs.calibrate.validate import validated, with_validations
 from wlr_render.jobs.options import ProgressArgument
 from wlr_render.report.blocks import Report
 from wlr_render.work.progress import SILENT
@@ -39,7 +40,8 @@ def calibrate_captures(options: CalibrateOptions, *, progress: ProgressArgument 
     is_own = path.resolve() == (folder / f"captures-{fit.mappings.eye}.npz").resolve()
     remove_results(folder, [fit.mappings.eye], keep_captures=is_own)
     model, notes = save_models(folder, [fit])
-    return Report(
+    validation = validated(comparison, options, folder, progress)
+    report = Report(
         f"Calibration of {fit.device}, {fit.mappings.eye} eye",
         verdict=fit_sentences(comparison),
         advice=fit_advice(fit),
@@ -49,3 +51,4 @@ def calibrate_captures(options: CalibrateOptions, *, progress: ProgressArgument 
         files=[model],
         record={"device": fit.device, "fits": {fit.mappings.eye: fit.model().report}},
     )
+    return with_validations(report, {fit.mappings.eye: validation})

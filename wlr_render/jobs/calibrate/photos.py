@@ -27,11 +27,12 @@ from wlr_render.jobs.calibrate.calibrate_options import (
 )
 from wlr_render.jobs.calibrate.fit_findings import fit_warnings
 from wlr_render.jobs.calibrate.photo_report import advice, headline, reading_blocks, session_blocks, set_names
+from wlr_render.jobs.calibrate.validate import validated, with_validations
 from wlr_render.jobs.options import ProgressArgument
 from wlr_render.models.model_file import remove_eye_models
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
-from wlr_render.work.progress import SILENT
+from wlr_render.work.progress import SILENT, Progress
 
 _REPORT = ("report.html", "report.md", "report.json")
 READ = "read"
@@ -93,7 +94,7 @@ def _record(found: SessionCalibration) -> dict[str, Any]:
     return {"eye": found.session.eye, "fit": fits[found.session.eye]} if len(fits) == 1 else {"eyes": fits}
 
 
-def report_of(found: SessionCalibration, options: CalibrateOptions) -> Report:
+def report_of(found: SessionCalibration, options: CalibrateOptions, progress: Progress = SILENT) -> Report:
     """Write model.json and pictures of a calibration, and return its report."""
     session, folder = found.session, output_folder(options.out)
     model, notes = save_models(folder, [each.fit for each in found.eyes.values()])
@@ -106,7 +107,8 @@ def report_of(found: SessionCalibration, options: CalibrateOptions) -> Report:
         for each in found.eyes.values()
         for warning in fit_warnings(each.fit, set_names(found, each), sigma_is_given=False)
     ]
-    return Report(
+    validations = {eye: validated(each.kinds, options, folder, progress) for eye, each in found.eyes.items()}
+    report = Report(
         f"Calibration of {session.device}, {' and '.join(session.eyes)} eye{'s' * (len(session.eyes) > 1)}",
         verdict=headline(found),
         advice=advice(found),
@@ -117,3 +119,4 @@ def report_of(found: SessionCalibration, options: CalibrateOptions) -> Report:
         faults=found.faults,
         record={"device": session.device, **_record(found)},
     )
+    return with_validations(report, validations)
