@@ -13,7 +13,7 @@ from wlr_render.budget.statement import SourceShare
 from wlr_render.calibration.label_errors import REMEDIES
 from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.budget_options import BudgetOptions
-from wlr_render.jobs.headset import effect_warnings, headset_path, is_model, open_eye
+from wlr_render.jobs.headset import effect_warnings, headset_path, is_factory, is_model, open_eye
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.mappings import Eye
@@ -157,6 +157,8 @@ _HOW = {
 
 def _warnings(headset: str, found: Sequence[EyeBudget]) -> list[str]:
     warnings = [] if is_model(headset) else [f"{headset} is a device: its mappings are exact and have no errors."]
+    if is_factory(headset):
+        warnings = [f"{headset} is a factory calibration: its own errors are unknown, and are not in these figures."]
     warnings += effect_warnings(headset)
     for each in found:
         if each.left_out > 0.01:

@@ -26,7 +26,7 @@ _DRAWING = option_group("Drawing", 3)
 class BudgetOptions(Options):
     """Options of `budget`. Where the default sizes come from: docs/budget.md."""
 
-    headset: Annotated[str, described("A model file, or a device (then without model errors).")]
+    headset: Annotated[str, described("A model file, or a device or factory calibration (then without model errors).")]
     _: KW_ONLY
     eye: Annotated[Eyes, described("Eyes to analyse; both also gives the disparity error.")] = "right"
     depth_m: Annotated[float, described("Depth of the real points in metres."), limits.DEPTH_M] = 1.0

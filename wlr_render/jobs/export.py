@@ -35,6 +35,7 @@ from wlr_render.jobs.headset import (
     PRIMARIES_UM,
     effect_warnings,
     headset_path,
+    is_factory,
     is_model,
     open_channels,
     open_colours,
@@ -183,8 +184,8 @@ def views_from_centres(
 
 
 def _wavelengths(options: ExportOptions, channels: dict[str, EyeChannels]) -> dict[str, float]:
-    """Wavelength in nanometres of each map of a device; empty for fitted models."""
-    if is_model(options.headset):
+    """Wavelength in nanometres of each map of a device; empty for fitted models and factory calibrations."""
+    if is_model(options.headset) or is_factory(options.headset):
         return {}
     if options.has_colours:
         return {colour: 1e3 * um for colour, um in zip(COLOURS, PRIMARIES_UM, strict=True)}

@@ -24,7 +24,12 @@ _POSITION, _POSITIONS = 3, 6
 class ExportOptions(Options):
     """Options of `export`."""
 
-    headset: Annotated[str, described("A device or a model file (with --red-model: the model fitted in green light).")]
+    headset: Annotated[
+        str,
+        described(
+            "A device, a factory calibration (.json), or a model file (with --red-model: the model fitted in green light)."
+        ),
+    ]
     _: KW_ONLY
     format: Annotated[FormatName, described("File format.")]
     eye: Annotated[Eyes, described("Eyes to export.")] = "right"

@@ -9,12 +9,13 @@ import numpy as np
 from wlr_render.bench.bench_effects import optics_with_effects
 from wlr_render.bench.bench_file import load_bench
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import Eye, EyeChannels
+from wlr_render.mappings import COLOURS, Eye, EyeChannels, middle_channel
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.combiner_form import SURFACES
 from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import device_path, load_device
+from wlr_render.optics.factory.factory_file import is_factory_file, load_factory_eyes
 from wlr_render.optics.traced_mappings import traced_eye
 
 PRIMARIES_UM = (0.6149, 0.5442, 0.4642)
@@ -26,26 +27,35 @@ tens of nanometres wide, of which one map serves the middle.
 
 
 def is_model(spec: str | Path) -> bool:
-    """Return whether a headset is named by its model file instead of a device."""
+    """Return whether a headset is named by its model file instead of a device or a factory calibration."""
+    return _is_json(spec) and not is_factory_file(spec)
+
+
+def is_factory(spec: str | Path) -> bool:
+    """Return whether a headset is named by its factory calibration."""
+    return _is_json(spec) and is_factory_file(spec)
+
+
+def _is_json(spec: str | Path) -> bool:
     return Path(spec).suffix.lower() == ".json"
 
 
 def headset_path(spec: str | Path) -> Path:
-    """Return the path of the device file or model file of a headset.
+    """Return the path of the device file, model file or factory calibration of a headset.
 
     Raises:
         BadInputError: the device does not exist.
     """
-    return Path(spec) if is_model(spec) else device_path(spec)
+    return Path(spec) if _is_json(spec) else device_path(spec)
 
 
 def open_eye(spec: str | Path, eye: str = "right") -> Eye:
-    """Return one eye of a headset, by exact optics or by fitted models.
+    """Return one eye of a headset, by exact optics, by fitted models or by its factory calibration.
 
     Args:
         spec: name of a shipped device or path of a device file (.toml), whose optics are traced in green light; a
             bench.toml, for its device with the heights that its effects add to the combiner; or path of a model file
-            (.json), such as `Calibration.save` writes.
+            (.json), such as `Calibration.save` writes; or of a factory calibration (.json), green light.
         eye: "left" or "right".
 
     Returns:
@@ -59,6 +69,8 @@ def open_eye(spec: str | Path, eye: str = "right") -> Eye:
         >>> wlr.open_eye("northstar", "left").eye_box.size
         array([0.01 , 0.008, 0.006])
     """
+    if is_factory(spec):
+        return middle_channel(load_factory_eyes(spec, eye))
     if not is_model(spec):
         return traced_eye(_device(spec), eye)
     return load_eye_model(spec, eye).mappings
@@ -111,7 +123,8 @@ def open_colours(
     """Open the mappings of one eye in red, green and blue light.
 
     Args:
-        spec: a device, which is traced at `PRIMARIES_UM`, or the file of the models fitted in green light.
+        spec: a device, which is traced at `PRIMARIES_UM`, a factory calibration, or the file of the models fitted in
+            green light.
         eye: "left" or "right".
         red_model, blue_model: files of the models fitted in red and blue light, if `spec` is a model file.
 
@@ -125,6 +138,9 @@ def open_colours(
                 f"{spec}: is a device, which is traced in all colours; give --per-colour without models, or name the "
                 "model in green light with --red-model and --blue-model."
             )
+        if is_factory(spec):
+            found = load_factory_eyes(spec, eye)
+            return found if len(found) > 1 else found * len(COLOURS)
         device = _device(spec)
         return tuple(traced_eye(device, eye, wavelength_um) for wavelength_um in PRIMARIES_UM)
     if red_model is None or blue_model is None:

@@ -35,7 +35,12 @@ _ALSO = option_group("Further files", 4)
 class RenderOptions(SpreadOptions):
     """Options of `render`."""
 
-    headset: Annotated[str, described("A device or a model file (with --red-model: the model fitted in green light).")]
+    headset: Annotated[
+        str,
+        described(
+            "A device, a factory calibration (.json), or a model file (with --red-model: the model fitted in green light)."
+        ),
+    ]
     scene: Annotated[str, described("A shipped scene, a scene file or a mesh.")]
     _: KW_ONLY
     eye: Annotated[Eyes, described("Eyes to draw.")] = "right"

@@ -78,7 +78,7 @@ def device_path(spec: str | FilePath) -> FilePath:
     if path.suffix.lower() == ".json":
         raise BadInputError(
             f"{path}: is a model file, or another JSON file, and a device is needed: name a shipped device or a device "
-            "file (.toml). Fitted models are taken by render, export and budget."
+            "file (.toml). Fitted models and factory calibrations are taken by render, export and budget."
         )
     return path
 

@@ -1,0 +1,1 @@
+"""Factory calibrations of headsets: directions of panel pixels from one pupil position, without optics."""
