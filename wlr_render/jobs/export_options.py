@@ -25,10 +25,7 @@ class ExportOptions(Options):
     """Options of `export`."""
 
     headset: Annotated[
-        str,
-        described(
-            "A device, a factory calibration (.json), or a model file (with --red-model: the model fitted in green light)."
-        ),
+        str, described("Device, factory calibration or model file (with --red-model: the model of green light).")
     ]
     _: KW_ONLY
     format: Annotated[FormatName, described("File format.")]

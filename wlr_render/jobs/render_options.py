@@ -36,10 +36,7 @@ class RenderOptions(SpreadOptions):
     """Options of `render`."""
 
     headset: Annotated[
-        str,
-        described(
-            "A device, a factory calibration (.json), or a model file (with --red-model: the model fitted in green light)."
-        ),
+        str, described("Device, factory calibration or model file (with --red-model: the model of green light).")
     ]
     scene: Annotated[str, described("A shipped scene, a scene file or a mesh.")]
     _: KW_ONLY
