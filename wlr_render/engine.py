@@ -13,6 +13,7 @@ if TYPE_CHECKING:  # imports in the order of the API reference
     from wlr_render.warp.composed_frame import ComposedFrame as ComposedFrame
     from wlr_render.warp.eye_camera import EyeCamera as EyeCamera
     from wlr_render.warp.frame_handle import FrameHandle as FrameHandle
+    from wlr_render.warp.frame_pacing import FramePacer as FramePacer, FrameTimes as FrameTimes
     from wlr_render.warp.gpu_image import GpuImage as GpuImage
     from wlr_render.warp.warp import WarpStatus as WarpStatus
     from wlr_render.gl.gl_errors import GlError as GlError

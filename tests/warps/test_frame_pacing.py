@@ -1,0 +1,77 @@
+"""Pacing of frames, with a clock that the tests move."""
+
+import numpy as np
+import pytest
+
+from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.frame_pacing import FramePacer
+
+NOMINAL_S, TRUE_S = 1 / 90, 1.0005 / 90
+"""The display's period as it is stated, and as it is: 0.05 % longer."""
+MARGIN_S = 1e-3
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now_s = 17.3
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def paced(works_s: list[float], seed: int, jitter_s: float = 1e-4) -> FloatArray:
+    """Run frames of these durations; return (begin, finish, display, true beat after the finish) of each."""
+    rng, clock = np.random.default_rng(seed), Clock()
+    pacer, first_s = FramePacer(NOMINAL_S, MARGIN_S, clock), 17.3 + rng.uniform(0, TRUE_S)
+    rows = []
+    for work_s in works_s:
+        frame = pacer.next_frame()
+        clock.now_s = frame.begin_s + work_s
+        finish_s = clock.now_s
+        pacer.finished()
+        beat_s = first_s + np.ceil((finish_s - first_s) / TRUE_S) * TRUE_S
+        rows.append((frame.begin_s, finish_s, frame.display_s, beat_s))
+        pacer.shown(beat_s - TRUE_S + rng.normal(0, jitter_s))  # the last beat before it
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_frames_are_finished_just_before_their_beat(seed: int) -> None:
+    works = np.random.default_rng(seed + 100).normal(4e-3, 2e-4, 600).clip(3e-3, 5e-3)
+    begin, finish, display, beat = paced(list(works), seed)[60:].T
+    assert np.abs(display - beat).max() < 0.6e-3  # the planned beat is the one that shows it
+    assert (finish < beat).all()
+    assert np.median(np.diff(display)) == pytest.approx(TRUE_S, rel=1e-3)  # each beat has a frame
+    assert (display - begin).max() < works.max() + MARGIN_S + 1e-5  # and none begins earlier than it must
+
+
+def test_a_program_that_cannot_keep_the_beat_is_paced_at_every_second_one() -> None:
+    begin, finish, display, beat = paced([4e-3] * 100 + [15e-3] * 100, 0)[101:].T
+    assert (finish < beat).all()
+    np.testing.assert_allclose(np.diff(display), 2 * TRUE_S, atol=3e-4)
+    assert (display - begin).max() < 15e-3 + MARGIN_S + 1e-5
+
+
+def test_after_a_slow_frame_the_beat_is_kept_again() -> None:
+    _, finish, display, beat = paced([4e-3] * 60 + [13e-3] + [4e-3] * 60, 1).T
+    assert finish[60] > display[60]  # nobody could know
+    assert (finish[61:] < beat[61:]).all()
+    assert np.median(np.diff(display[-20:])) == pytest.approx(TRUE_S, abs=3e-4)
+
+
+def test_frames_that_overlap_have_beats_of_their_own() -> None:
+    pacer = FramePacer(NOMINAL_S, MARGIN_S, Clock())
+    first, second = pacer.next_frame(), pacer.next_frame()
+    assert second.display_s - first.display_s == pytest.approx(NOMINAL_S)
+    assert first.ahead_s == first.display_s - first.begin_s
+
+
+def test_bad_numbers_are_refused() -> None:
+    for arguments, words in (
+        ((0.0,), "period_s"),
+        ((float("nan"),), "period_s"),
+        ((0.01, 0.02), "margin_s"),
+    ):
+        with pytest.raises(BadInputError, match=words):
+            FramePacer(*arguments)
