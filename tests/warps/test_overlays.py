@@ -223,7 +223,7 @@ def test_a_quad_that_is_seen_from_behind_is_not_shown(compositor: Callable[..., 
             "layer is 4; give a whole number from 0 to 3",
         ),
         (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": HEAD, "layer": "top"}, "give a whole number from 0 to 3"),
-        (99999, {"world_from_quad": HEAD}, "Number 99999 is not a texture of this context"),
+        (99999, {"world_from_quad": HEAD}, "number 99999 is not a texture of the OpenGL context"),
     ],
 )
 def test_overlays_that_cannot_be_are_refused_and_the_last_stays(

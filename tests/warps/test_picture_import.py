@@ -246,8 +246,8 @@ def test_bad_framebuffers_are_refused_in_a_sentence(gl_context: GlContext, take:
         (small, "has 3x4 pixels, the camera 64x48"),
         (without_depth, "has no depth attachment"),
         (whole_numbers, "holds whole numbers for colours: use RGBA8"),
-        (0, "number 0 is no framebuffer object"),
-        (1999, "number 1999 is no framebuffer object"),
+        (0, "number 0 is not a framebuffer object"),
+        (1999, "number 1999 is not a framebuffer object"),
     ):
         with pytest.raises(BadInputError, match=told):
             take.from_framebuffer(CAMERA, bad, WINDOW)

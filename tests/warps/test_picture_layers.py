@@ -16,7 +16,7 @@ from wlr_render.gl.framebuffers import TextureLayer
 from wlr_render.numerics.arrays import Float32Array
 from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.picture_import import PictureImport
-from wlr_render.warp.stored_picture import DepthKind, StoredColour, StoredDepth
+from wlr_render.warp.stored_picture import CODES, DepthKind, StoredColour, StoredDepth
 
 pytestmark = pytest.mark.gl
 
@@ -110,7 +110,7 @@ def test_rectangles_of_textures(gl_context: GlContext, take: PictureImport) -> N
         assert_taken(take.take(CAMERA, given, TextureLayer(depth, rect_px=depth_rect), INVERSE))
         inverse = 1 / 0.5 + DEPTHS * (1 / 4 - 1 / 0.5)
         assert_taken(take.take(CAMERA, given, TextureLayer(buffer.glo, rect_px=depth_rect), WINDOW), inverse)
-        assert take.size_of(given) == SIZE
+        assert take.colour_alone(given, CODES).size == SIZE
     aside = take.take(
         CAMERA, TextureLayer(colour, rect_px=(0, 0, *SIZE)), TextureLayer(depth, rect_px=depth_rect), INVERSE
     )
@@ -184,7 +184,7 @@ def test_bad_layers_are_refused_in_a_sentence(gl_context: GlContext, take: Pictu
         gone = ctx.texture_array((*SIZE, 2), 4)
         gone.release()
     for (given, beside), words in (
-        ((1999, depth.glo), "Number 1999 is not a texture of this context"),
+        ((1999, depth.glo), "number 1999 is not a texture of the OpenGL context"),
         ((TextureLayer(array, 5), depth), r"texture \d+ has no layer 5; it has 2, counted from 0"),
         ((TextureLayer(colour, 1), depth), r"texture \d+ has no layer 1; it has 1, counted"),
         ((TextureLayer(colour, level=3), depth), r"texture \d+ has no level 3; it has 1, counted from 0"),

@@ -152,9 +152,9 @@ def test_a_gpu_picture_of_elsewhere_is_told_in_a_sentence(
         ((image.colour,), "Texture and a NoneType"),
         ((image.colour, np.ones(camera.size_px[::-1], np.float32)), "Texture and a ndarray"),
         ((image.colour, elsewhere.inverse_depth), "another ModernGL context"),
-        ((0,), "is no framebuffer object"),
-        ((4321,), "is no framebuffer object"),
-        ((2**32 + int(image.colour.glo),), "is no framebuffer object"),
+        ((0,), "is not a framebuffer object"),
+        ((4321,), "is not a framebuffer object"),
+        ((2**32 + int(image.colour.glo),), "is not a framebuffer object"),
     ):
         with pytest.raises(BadInputError, match=words):
             made.submit(*given)

@@ -143,7 +143,7 @@ class GlContext:
             free_dropped(self._ctx)
             self._depth, self._thread = self._depth + 1, threading.get_ident()
             self._switched = self._switched or third_party
-            self._is_disturbed = is_public  # others may switch on what they like in it
+            self._is_disturbed = is_public  # others may leave any switch on
             try:
                 yield self._ctx
             except BaseException:
@@ -193,7 +193,7 @@ class GlContext:
 
     @property
     def has_host(self) -> bool:
-        """Whether another program's context shares textures with this one."""
+        """True if another program's context shares textures with this one."""
         return self._owner.has_host
 
     def take_error(self) -> int:
@@ -238,7 +238,7 @@ class GlContext:
     def compute(self, program: ComputeShader, textures: Sequence[Texture]) -> None:
         """Run a compute shader for each texel of textures that `target` made, its images 0, 1 and so on.
 
-        What comes after sees what it has written.
+        Later commands see the result.
         """
         for unit, texture in enumerate(textures):
             texture.bind_to_image(unit, read=False, write=True, format=_RGB10_A2 if texture.extra == _RGB10_A2 else 0)

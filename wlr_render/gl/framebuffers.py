@@ -150,9 +150,19 @@ class FramebufferQueries:
             self._functions[name] = self._context.function(name, *argument_types, result=result)
         return self._functions[name]
 
-    def is_texture(self, number: int) -> bool:
-        """Return whether a number names a texture."""
-        return 0 < number < 1 << 32 and bool(self.gl("glIsTexture", _UINT, result=ctypes.c_ubyte)(number))
+    def part_of(self, layer: TextureLayer) -> "tuple[Image, tuple[int, int], tuple[int, int]]":
+        """Return the image of a layer of a texture, and the size and first pixel of the picture in it.
+
+        Raises:
+            BadInputError: the texture, layer, level or rectangle does not exist.
+        """
+        image = Image(layer.name, False, layer.level, layer.layer)
+        if not (0 < image.name < 1 << 32 and self.gl("glIsTexture", _UINT, result=ctypes.c_ubyte)(image.name)):
+            raise BadInputError(f"number {image.name} is not a texture of the OpenGL context; give one that is.")
+        self._check_layer(image)
+        self._context.take_error()
+        first_px, size = layer.rect_in(self.size(image))
+        return image, size, first_px
 
     def bind(self, number: int, target: int = BOTH) -> None:
         """Bind a framebuffer object; the other methods concern it."""
@@ -171,7 +181,7 @@ class FramebufferQueries:
             exists = 0 < number < 1 << 32 and self.gl("glIsFramebuffer", _UINT, result=ctypes.c_ubyte)(number)
             if not exists:
                 raise BadInputError(
-                    f"number {number} is no framebuffer object of the OpenGL context; give one that is, or a texture."
+                    f"number {number} is not a framebuffer object of the OpenGL context; give one that is."
                 )
             self.bind(number)
             if not self.is_complete():
@@ -251,12 +261,7 @@ class FramebufferQueries:
         found = self._of_level(image, _WIDTH, _HEIGHT)
         return (0, 0) if found is None else (found[1][0], found[1][1])
 
-    def check_layer(self, image: Image) -> None:
-        """Check that a texture has the layer and level.
-
-        Raises:
-            BadInputError: it has fewer.
-        """
+    def _check_layer(self, image: Image) -> None:
         found = self._of_level(image, _WIDTH, _LAYERS)
         if found is None:
             return
@@ -379,7 +384,7 @@ class ImageCache(Generic[_Made]):
 
 
 def _owner(given: Any) -> Any:
-    """Return the object that keeps the images of what a caller gave; None for a number."""
+    """Return the object whose life is that of the given images; None for a number."""
     if isinstance(given, TextureLayer) and not is_number(given.texture):
         return given.texture
     return None if is_number(given) else given

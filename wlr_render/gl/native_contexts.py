@@ -1,4 +1,4 @@
-"""OpenGL contexts of the platform: the current one, what is bound to a thread, and contexts that share textures."""
+"""OpenGL contexts of the platform: the current one, bindings to a thread, and contexts that share textures."""
 
 import ctypes
 import ctypes.util
@@ -111,7 +111,7 @@ class NativeContext:
 
 
 class Binding(Protocol):
-    """What a platform has bound to the calling thread: a context and its surfaces."""
+    """Binding of a context and its surfaces to the calling thread, on one platform."""
 
     def save(self) -> Callable[[], None]:
         """Save the current context and its surfaces; the returned function makes them current again.
@@ -164,7 +164,7 @@ class EglBinding:
             find(display, wanted, ctypes.addressof(config), 1, ctypes.addressof(count))
         create = _function(self._library, "eglCreateContext", *[_POINTER] * 4)
         version = _EGL_MAJOR, 4, _EGL_MINOR, 1, _EGL_PROFILE, _EGL_CORE
-        # Contexts that share must agree on what a reset of the GPU does.
+        # Contexts that share must agree on the effect of a reset of the GPU.
         ours = create(display, config, host, _numbers(*version, _EGL_NONE)) or create(
             display, config, host, _numbers(*version, *_EGL_LOST_AT_RESET, _EGL_NONE)
         )

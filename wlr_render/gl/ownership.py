@@ -88,8 +88,8 @@ class Host:
 class OwnContext:
     """A context that this library opened: each outermost block makes it current, and restores the previous one.
 
-    Between blocks it is current on no thread, so any thread may use it, one at a time. What a host's context has drawn
-    before a block is complete for the block, and what the block has drawn for the host.
+    Between blocks it is current on no thread, so any thread may use it, one at a time. The drawing of a host's context
+    before a block is complete for the block, and the drawing of the block for the host.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class OwnContext:
         self._after_all_before(restore, is_host and self._current.is_current())
 
     def _after_all_before(self, switch: Callable[[], object], is_shared: bool) -> None:
-        """Switch to another context, whose commands then come after those of this one if the two share."""
+        """Switch to another context; if the two share, its commands then come after the commands of this one."""
         fence = self._fence(_COMMANDS_COMPLETE, 0) if is_shared else None
         switch()
         if fence:

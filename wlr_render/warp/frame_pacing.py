@@ -39,7 +39,7 @@ class FramePacer:
     """Plans frames for a display that shows pictures at regular beats; one thread may use it at a time.
 
     A program that cannot keep the beat is paced at every second beat, or third: let another thread compose at each
-    (docs/realtime.md). Runtimes of OpenXR pace by themselves, in xrWaitFrame.
+    (docs/realtime.md). A runtime of OpenXR paces its programs in xrWaitFrame.
     """
 
     def __init__(self, period_s: float, margin_s: float = 1e-3, clock: Callable[[], float] = time.perf_counter) -> None:

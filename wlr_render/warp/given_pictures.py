@@ -97,6 +97,7 @@ class _Blit:
     target: gl.Framebuffer
     buffers: int
     first_px: tuple[int, int]
+    size_px: tuple[int, int]
 
 
 @dataclass(eq=False)
@@ -140,10 +141,12 @@ class GivenPictures:
             parts = [(image, self._ask.size(image), (0, 0)) for image in self._images_of(framebuffer, number)]
             return self._prepare(parts, f"framebuffer {number}", size, old)
 
-        return self._sources(self._prepared.get([framebuffer if fixed else number], size, prepare), size, stored)
+        return self._sources(self._prepared.get([framebuffer if fixed else number], size, prepare), stored)
 
-    def of_textures(self, given: Sequence[Any], size: tuple[int, int], stored: StoredDepth) -> list[Source]:
+    def of_textures(self, given: Sequence[Any], size: tuple[int, int] | None, stored: StoredDepth) -> list[Source]:
         """Colour, and depth if there is one, of textures or layers of (width, height), rows as they lie.
+
+        A size of None is that of the texture.
 
         Raises:
             BadInputError: a texture, layer or level does not exist, or has another size or a format that cannot be
@@ -152,27 +155,10 @@ class GivenPictures:
         layers = [each if isinstance(each, TextureLayer) else TextureLayer(each) for each in given]
 
         def prepare(old: _Prepared | None) -> _Prepared:
-            return self._prepare([self._part_of(each) for each in layers], "texture {name}", size, old)
+            return self._prepare([self._ask.part_of(each) for each in layers], "texture {name}", size, old)
 
-        key = (*size, "layers", *((each.layer, each.level, each.rect_px) for each in layers))
-        return self._sources(self._prepared.get(list(given), key, prepare), size, stored)
-
-    def size_of(self, layer: TextureLayer) -> tuple[int, int]:
-        """(width, height) of the picture in a layer of a texture.
-
-        Raises:
-            BadInputError: the texture, layer, level or rectangle does not exist.
-        """
-        return self._part_of(layer)[1]
-
-    def _part_of(self, layer: TextureLayer) -> _Part:
-        image = Image(layer.name, False, layer.level, layer.layer)
-        if not self._ask.is_texture(image.name):
-            raise BadInputError(f"Number {image.name} is not a texture of this context: submit one that is.")
-        self._ask.check_layer(image)
-        self._context.take_error()
-        first_px, size = layer.rect_in(self._ask.size(image))
-        return image, size, first_px
+        key = (size, "layers", *((each.layer, each.level, each.rect_px) for each in layers))
+        return self._sources(self._prepared.get(list(given), key, prepare), stored)
 
     def _images_of(self, framebuffer: Any, number: int) -> list[Image]:
         images = []
@@ -182,8 +168,11 @@ class GivenPictures:
             images.append(image)
         return images
 
-    def _prepare(self, parts: Sequence[_Part], what: str, size: tuple[int, int], old: _Prepared | None) -> _Prepared:
+    def _prepare(
+        self, parts: Sequence[_Part], what: str, size: tuple[int, int] | None, old: _Prepared | None
+    ) -> _Prepared:
         self._context.take_error()
+        size = size or parts[0][1]
         for image, found, _ in parts:
             if found != size:
                 raise BadInputError(
@@ -211,7 +200,7 @@ class GivenPictures:
             found, buffers = self._attached(holder, point, image, what)
             framebuffer, copy = self._copy_of(point, found, buffers, size)
             source = Source(copy, size, is_8_bit=_is_8_bit(found), is_srgb=gl.is_srgb(copy))
-            made.blits.append(_Blit(holder, framebuffer, buffers, first_px))
+            made.blits.append(_Blit(holder, framebuffer, buffers, first_px, size))
         made.needs_depth_kind |= buffers == BLIT_DEPTH
         made.sources.append(source)
 
@@ -256,13 +245,13 @@ class GivenPictures:
             found = self._targets[point] = key, framebuffer, texture
         return found[1:]
 
-    def _sources(self, prepared: _Prepared, size: tuple[int, int], stored: StoredDepth) -> list[Source]:
+    def _sources(self, prepared: _Prepared, stored: StoredDepth) -> list[Source]:
         if prepared.needs_depth_kind:
             check_depth_format(stored)
         for blit in prepared.blits:
             self._ask.bind(blit.source.glo, READ)
             self._ask.bind(blit.target.glo, DRAW)
-            self._ask.copy(blit.first_px, size, blit.buffers)
+            self._ask.copy(blit.first_px, blit.size_px, blit.buffers)
         what, self._new = self._new, ""
         if what and self._context.take_error():
             self._prepared.clear()

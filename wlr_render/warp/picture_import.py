@@ -136,7 +136,7 @@ class PictureImport:
             given = self._textures(camera.size_px, colour, depth, stored)
             return self._take(camera, given, stored, rows, stored_colour, wider)
 
-    def _textures(self, size: tuple[int, int], colour: Any, depth: Any, stored: StoredDepth) -> list[Source]:
+    def _textures(self, size: tuple[int, int] | None, colour: Any, depth: Any, stored: StoredDepth) -> list[Source]:
         named = [("colour", colour)] + ([] if depth is None else [("depth", depth)])
         for name, each in named:
             texture = each.texture if isinstance(each, TextureLayer) else each
@@ -160,23 +160,8 @@ class PictureImport:
                 check_colour_array(picture, stored_colour)
                 given, usual = self._uploaded(picture, None), Rows.TOP_FIRST
             else:
-                given, usual = self._textures(self.size_of(picture), picture, None, METRES), Rows.BOTTOM_FIRST
+                given, usual = self._textures(None, picture, None, METRES), Rows.BOTTOM_FIRST
             return self._drawn(given, METRES, rows or usual, stored_colour)[0]
-
-    def size_of(self, texture: Any) -> tuple[int, int]:
-        """(width, height) of a texture, see `is_texture`.
-
-        Raises:
-            BadInputError: the texture has been released or belongs to another context, or the texture, layer, level or
-                rectangle does not exist.
-        """
-        layer = texture if isinstance(texture, TextureLayer) else TextureLayer(texture)
-        if not is_number(layer.texture):
-            _check_context(self._context, "texture", layer.texture)
-        if isinstance(layer.texture, gl.Texture) and not layer.level:
-            return layer.rect_in(layer.texture.size)[1]
-        with self._context.drawing():
-            return self._given.size_of(layer)
 
     def from_framebuffer(
         self,

@@ -107,7 +107,7 @@ class TargetFramebuffers:
         return self._for_window.framebuffer
 
     def show(self) -> None:
-        """Copy what was drawn for the window to it, in its own context: framebuffers are not shared."""
+        """Copy the picture of the window to it, in the window's own context: framebuffers are not shared."""
         drawn, self._for_window = self._for_window, None
         if drawn is None:
             return
@@ -128,12 +128,7 @@ class TargetFramebuffers:
         return self._with_image(image, "framebuffer", self._ask.size(image), size_px, old)
 
     def _of_texture(self, layer: TextureLayer, size_px: tuple[int, int], old: gl.Framebuffer | None) -> gl.Framebuffer:
-        image = Image(layer.name, False, layer.level, layer.layer)
-        if not self._ask.is_texture(image.name):
-            raise BadInputError(f"number {image.name} is no texture of the OpenGL context; give one that is.")
-        self._ask.check_layer(image)
-        self._context.take_error()
-        size = layer.rect_in(self._ask.size(image))[1]
+        image, size, _ = self._ask.part_of(layer)
         return self._with_image(image, f"texture {image.name}", size, size_px, old)
 
     def _with_image(
