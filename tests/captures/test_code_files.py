@@ -107,7 +107,7 @@ def test_a_manifest_gives_any_file_its_role(tmp_path: Path) -> None:
         ('[files]\n"0.png" = "u bit 99"', "0.png has the role 'u bit 99'; the code has white, black, u bit 5"),
         ('[files]\n"a.png" = "white"', "there is no .*a.png; correct its name"),
         (f'[files]\n"{"9" * 400}.png" = "white"', "there is no .*999.png; correct its name"),
-        ('[files]\n"0.png" = "white"\n"1.png" = "white"\n"2.png" = "black"', "2 files have the role 'white'"),
+        ('[files]\n"0.png" = "white"\n"1.png" = "black"\n"2.png" = "black"', "2 files have the role 'black'"),
         ('order = "sideways"', "must be one of as shown, opencv"),
         ("[exposures_s]\nshort = 0", "above 0"),
         ("[exposures_s]\nshort = true", "above 0"),

@@ -4,12 +4,13 @@ import csv
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.captures.patterns.light_gains import LightGains, light_gains
 from wlr_render.captures.photo_session import CODE_ORDERS
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import SUFFIXES, CodeImage, exposure_of, photographs_in, read_each, read_photograph
@@ -34,15 +35,33 @@ class CodeFiles:
     Attributes:
         pictures: files of each picture, one per exposure; empty if the picture is missing.
         exposures_s: exposure time of each; empty for a single exposure.
+        names: names of the pictures.
+        taken: place of each picture in the order of taking; -1 of a missing one. Empty without `whites`.
+        whites: further photographs of white, each with its place in this order.
     """
 
     pictures: tuple[tuple[Path, ...], ...]
     exposures_s: tuple[float, ...] = ()
+    names: tuple[str, ...] = ()
+    taken: tuple[int, ...] = ()
+    whites: tuple[tuple[int, Path], ...] = ()
+    _light: dict[PhotographFormat, LightGains] = field(default_factory=dict, repr=False, compare=False)
+
+    @classmethod
+    def with_whites(
+        cls, pictures: Sequence[tuple[Path, ...]], names: Sequence[str], order: Sequence[Path], whites: Sequence[Path]
+    ) -> "CodeFiles":
+        """Return a set of single exposures, of files in the `order` of taking, with further photographs of white."""
+        if not whites:
+            return cls(tuple(pictures))
+        place = {path: number for number, path in enumerate(order)}
+        taken = tuple(place[files[0]] if files else -1 for files in pictures)
+        return cls(tuple(pictures), (), tuple(names), taken, tuple((place[path], path) for path in whites))
 
     @property
     def paths(self) -> list[Path]:
         """Return all files."""
-        return [path for files in self.pictures for path in files]
+        return [path for files in self.pictures for path in files] + [path for _, path in self.whites]
 
     @property
     def missing(self) -> list[int]:
@@ -53,6 +72,28 @@ class CodeFiles:
         """Return the value from which a pixel of `read` is saturated."""
         return kind.end_of_scale * (max(self.exposures_s) / min(self.exposures_s) if self.exposures_s else 1.0)
 
+    def light(self, kind: PhotographFormat) -> LightGains | None:
+        """Return the gains of the pictures, which all are read for them; None without further photographs of white.
+
+        Raises:
+            BadInputError: as `read_photograph` and `light_gains`.
+        """
+        if not self.whites:
+            return None
+        if kind in self._light:
+            return self._light[kind]
+        places, paths = zip(*self.whites, strict=True)
+        whites = (read_photograph(path, kind) for path in paths)
+        taken = np.array(self.taken), np.array(places)
+        self._light[kind] = light_gains(self._single(kind), whites, self.names, *taken, self.end_of_scale(kind))
+        return self._light[kind]
+
+    def _single(self, kind: PhotographFormat) -> Iterator[CodeImage | None]:
+        """Read the pictures of a set of one exposure."""
+        photographs = read_each([files[0] for files in self.pictures if files], kind)
+        for files in self.pictures:
+            yield next(photographs) if files else None
+
     def read(self, kind: PhotographFormat) -> Iterator[CodeImage | None]:
         """Read the pictures one at a time; None for a missing one.
 
@@ -60,13 +101,15 @@ class CodeFiles:
         do not saturate it in the first picture, white, weighted by their time; because they are the same in the whole
         set, a black level has no effect on differences of pictures.
 
+        With further photographs of white the pictures are scaled to one light, see `light_gains`; float32 values.
+
         Raises:
             BadInputError: as `read_photograph`; or white is missing from a set of several exposures.
         """
         if not self.exposures_s:
-            photographs = read_each(self.paths, kind)
-            for files in self.pictures:
-                yield next(photographs) if files else None
+            gains = self.light(kind)
+            for number, image in enumerate(self._single(kind)):
+                yield image if gains is None or image is None else gains.repaired(number, image)
             return
         if not self.pictures[0]:
             folder = next(files[0].parent for files in self.pictures if files)
@@ -134,7 +177,9 @@ def find_code_files(
         )
     paths = photographs_in(folder)
     _check_one_exposure(paths)
-    return CodeFiles(_by_name(paths, names, order, folder))
+    whites = [path for path in paths if _stated(path) == names[0] and re.match(r"\d", path.stem)][1:]
+    pictures = _by_name([path for path in paths if path not in whites], names, order, folder)
+    return CodeFiles.with_whites(pictures, names, paths, whites)
 
 
 def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[str, float]]:
@@ -194,6 +239,9 @@ def _by_manifest(
         if not os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
             raise BadInputError(f"{manifest}: there is no {path}; correct its name, or remove it from the manifest.")
         by_role[number].append(path)
+    whites = by_role[0][1:] if max(map(len, by_role[1:])) == 1 else []
+    if whites:
+        by_role[0] = by_role[0][:1]
     counts = {len(files) for files in by_role if files}
     if len(counts) != 1:
         twice = next((n for n, files in enumerate(by_role) if len(files) > 1), 0)
@@ -202,8 +250,9 @@ def _by_manifest(
             "give each picture one file, or one of each exposure."
         )
     if counts == {1}:
-        _check_one_exposure([path for files in by_role for path in files])
-        return CodeFiles(tuple(map(tuple, by_role)))
+        _check_one_exposure([path for files in [*by_role, whites] for path in files])
+        order = [inside_folder(folder, file, str(manifest)) for file in roles]
+        return CodeFiles.with_whites([tuple(files) for files in by_role], names, order, whites)
     timed = [
         sorted((_exposure_time(path, stated, str(path.relative_to(folder))), path) for path in files)
         for files in by_role
@@ -230,7 +279,7 @@ def _plain_role(role: str) -> str:
 def _by_name(paths: Sequence[Path], names: Sequence[str], order: str, folder: Path) -> tuple[tuple[Path, ...], ...]:
     """Return the files of each picture, from their names alone."""
     files: list[tuple[Path, ...]] = [()] * len(names)
-    stated = [re.sub(r"^\d+[_ -]", "", path.stem) for path in paths]
+    stated = [_stated(path) for path in paths]
     roles = [_number_of_role(each, names) for each in stated]
     _check_code(paths, stated, roles)
     if None not in roles:
@@ -249,6 +298,11 @@ def _by_name(paths: Sequence[Path], names: Sequence[str], order: str, folder: Pa
     for path, place in zip(paths, places, strict=True):
         files[shown[place]] = (path,)
     return tuple(files)
+
+
+def _stated(path: Path) -> str:
+    """Return the text of a name without its number."""
+    return re.sub(r"^\d+[_ -]", "", path.stem)
 
 
 def _check_code(paths: Sequence[Path], stated: Sequence[str], roles: Sequence[int | None]) -> None:

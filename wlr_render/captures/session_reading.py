@@ -63,6 +63,7 @@ class PanelReading:
         extent: (2, 2) lowest and highest panel position accepted.
         missing: names of the pictures without a photograph; the others replace them.
         file_note: sentence about the format of the files, if it was detected and not stated.
+        light_note: sentence about light that was repaired, where white was photographed again.
     """
 
     samples: DecodedSamples
@@ -71,6 +72,7 @@ class PanelReading:
     extent: NDArray[np.float64]
     missing: tuple[str, ...] = ()
     file_note: str = ""
+    light_note: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +93,15 @@ class Reading:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences about the format of files, and about sets that were decoded without some of their photographs."""
+        """Sentences about the format of files, and about sets of repaired light or without some photographs."""
         about_files = dict.fromkeys(panel.file_note for panel in self.panels.values() if panel.file_note)
-        return list(about_files)[:1] + [
+        of_light = [f"{folder.name}: {panel.light_note}" for folder, panel in self.panels.items() if panel.light_note]
+        missing = [
             f"{folder.name}: decoded without the missing photographs of {', '.join(panel.missing)}."
             for folder, panel in self.panels.items()
             if panel.missing
         ]
+        return [*list(about_files)[:1], *of_light, *missing]
 
     def views_of(self, photographs: Sequence[BoardPhotograph]) -> list[tuple[BoardPhotograph, BoardObservation]]:
         """Return the readable photographs with their features inside the entry's regions."""
@@ -198,7 +202,8 @@ class _PanelTask:
     def fingerprint(self) -> str:
         files = self._files()
         roles = [[path.name for path in paths] for paths in files.pictures]
-        how = [roles, files.exposures_s, self.pattern, self.decoding, self.size_px, self.kind]
+        further = [files.taken, [(place, path.name) for place, path in files.whites]]
+        how = [roles, further, files.exposures_s, self.pattern, self.decoding, self.size_px, self.kind]
         return _fingerprint(files.paths, how)
 
     def _files(self) -> CodeFiles:
@@ -212,6 +217,7 @@ class _PanelTask:
         samples = sample(decoded)
         if len(samples) == 0:
             raise BadInputError(_why_nothing(decoded))
+        light = files.light(self.kind)
         step = max(1, decoded.rejection.shape[1] // _THUMBNAIL_PX)
         accepted = decoded.pixel[decoded.accepted].astype(np.float64)
         return vars(samples) | {
@@ -220,6 +226,7 @@ class _PanelTask:
             "extent": np.stack([accepted.min(axis=0), accepted.max(axis=0)]),
             "missing": np.array(files.missing, dtype=np.int64),
             "file_note": np.array(file_note(files.paths[0], self.kind)),
+            "light_note": np.array("" if light is None else light.note),
         }
 
     def _check_first(self, files: CodeFiles) -> None:
@@ -240,7 +247,8 @@ class _PanelTask:
     def result(self, kept: dict[str, NDArray[Any]]) -> PanelReading:
         samples = DecodedSamples(**{each.name: kept[each.name] for each in fields(DecodedSamples)})
         missing = tuple(self.pattern.names()[number] for number in kept["missing"])
-        return PanelReading(samples, kept["counts"], kept["fates"], kept["extent"], missing, str(kept["file_note"]))
+        said = (str(kept[name]) for name in ("file_note", "light_note"))
+        return PanelReading(samples, kept["counts"], kept["fates"], kept["extent"], missing, *said)
 
 
 _Task = _BoardTask | _PanelTask

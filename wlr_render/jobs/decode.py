@@ -124,6 +124,8 @@ def decode_and_assess(
     warnings = [f"Weak bits: {', '.join(weak)}; use the pattern gray-fringes, or more light."] if weak else []
     if missing := [codes.pattern.names()[number] for number in codes.files.missing]:
         warnings.append(f"Decoded without the missing photographs of {', '.join(missing)}.")
+    if (light := codes.files.light(codes.kind)) is not None:
+        warnings.append(light.note)
     if note := file_note(codes.files.paths[0], codes.kind):
         warnings.append(note)
     report = Report(

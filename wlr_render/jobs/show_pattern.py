@@ -55,6 +55,11 @@ class PatternOptions(Options):
         Literal["red", "green", "blue"] | None,
         described("Primary to show the code in (default: white, all of them)."),
     ] = None
+    white_every: Annotated[
+        int | None,
+        described("Show white again after this many pictures and at the end, to repair light that drifts or flickers."),
+        Range(at_least=1, at_most=100),
+    ] = None
     out: Annotated[
         Path,
         described("Output folder, of the photographs with --photograph; an interrupted run continues there."),
@@ -120,7 +125,7 @@ def pattern(options: PatternOptions, *, progress: ProgressArgument = SILENT) -> 
         return _photographed(options, options.photograph, progress)
     Kept(options.out, {"job": "pattern"})  # refuses a folder of photographs
     code = make_pattern(options.pattern, Panel(*options.panel))
-    pictures = write_show_page(output_folder(options.out), code, options.channel)
+    pictures = write_show_page(output_folder(options.out), code, options.channel, options.white_every)
     page = options.out / PAGE
     advice = [f"Open {page} on the panel's screen to show them."]
     return Report("Pattern", f"{len(pictures)} pictures of the code {options.pattern}.", advice, files=[page], stem="")
@@ -132,7 +137,7 @@ def _photographed(options: PatternOptions, command: str, progress: Progress) -> 
     code = make_pattern(options.pattern, Panel(*options.panel))
     folder = output_folder(options.out)
     with tempfile.TemporaryDirectory() as page_folder:
-        pictures = write_show_page(page_folder, code, options.channel)
+        pictures = write_show_page(page_folder, code, options.channel, options.white_every)
         paths = [folder / f"{picture.stem}{options.suffix}" for picture in pictures]
         _refuse_others(folder, paths)
         recipe = recipe_of("pattern --photograph", options.recipe_values(), {})

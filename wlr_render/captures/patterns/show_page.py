@@ -14,7 +14,9 @@ from wlr_render.io.atomic_files import write_image, write_text
 PAGE = "show.html"
 
 
-def write_show_page(folder: str | Path, pattern: Pattern, channel: str | None = None) -> list[Path]:
+def write_show_page(
+    folder: str | Path, pattern: Pattern, channel: str | None = None, white_every: int | None = None
+) -> list[Path]:
     """Write the pictures and the page.
 
     The page needs no other files. Opened on the panel as an external monitor, it shows picture after picture,
@@ -25,18 +27,24 @@ def write_show_page(folder: str | Path, pattern: Pattern, channel: str | None = 
         folder: output folder; created if necessary.
         pattern: pattern to show.
         channel: primary of the pictures: "red", "green" or "blue"; None for white.
+        white_every: number of pictures after which white is shown again, and at the end; None for once.
 
     Returns:
-        The pictures in the order of showing, 000_white.png, 001_black.png, ...; numbered as `Pattern.image` is.
+        The pictures in the order of showing, 000_white.png, 001_black.png, ...; without further whites numbered as
+        `Pattern.image` is.
     """
-    names = pattern.names()
+    numbers: list[int] = []
+    for number in range(len(pattern.names())):
+        numbers += [0, number] if white_every and number > 1 and (number - 2) % white_every == 0 else [number]
+    numbers += [0] if white_every else []
+    names = [pattern.names()[number] for number in numbers]
     paths = [
         write_image(
             Path(folder) / f"{index:03d}_{name.replace(' ', '_')}.png",
-            _in_primary(pattern.image(index), channel),
+            _in_primary(pattern.image(number), channel),
             [cv2.IMWRITE_PNG_COMPRESSION, 1],
         )
-        for index, name in enumerate(names)
+        for index, (number, name) in enumerate(zip(numbers, names, strict=True))
     ]
     pictures = [_embedded(path) for path in paths]
     size = f"{pattern.panel.width_px} x {pattern.panel.height_px}"

@@ -1,0 +1,163 @@
+"""Gains by which the panel's light differs from picture to picture of a set, from white photographs taken again.
+
+The white photographs tell how the light drifts, by interpolation in time. A picture i and its inverse j tell their own
+gains: of relative light r = (photograph - black) / (white - black), a pixel has r_i / g_i + r_j / g_j = 1 whatever it
+sees. Least squares over many pixels finds both, with the drift as their prior: a blurred pair, which is grey all over,
+tells their mean alone. Light that the panel does not make, such as a lamp in the room, has no gain and is not repaired.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from wlr_render.captures.patterns.photometry import INVERSE
+from wlr_render.captures.photographs import CodeImage
+from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+_PIXELS = 20_000  # well-lit pixels that gains are taken from
+_WELL_LIT = 0.5  # contrast of these pixels relative to the brightest twentieth
+_FLICKER = 0.1  # prior sigma of a picture's gain about the drift
+_GREY = 0.02  # least sigma of a pixel's relative light: gamma, and light scattered from other pixels
+_COUNTED = 100  # independent pixels, as many as count: neighbours see one stripe
+_OUTLIER = 4.0  # in robust standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class LightGains:
+    """Gains of the pictures of a set.
+
+    Attributes:
+        gain: (pictures,) light of each relative to the first white photograph.
+        black: (h, w) the black photograph, to which gains do not apply.
+        end_of_scale: value from which a pixel is saturated; it stays so.
+        drift: (2,) least and largest gain of the white photographs.
+        flicker: rms of the gains of pictures about the drift, relative; NaN without a picture with its inverse.
+        unpaired: number of pictures, beside white and black, whose flicker is unknown and stays.
+    """
+
+    gain: FloatArray
+    black: FloatArray
+    end_of_scale: float
+    drift: tuple[float, float]
+    flicker: float
+    unpaired: int
+
+    def repaired(self, number: int, image: CodeImage) -> CodeImage:
+        """Return picture `number` (h, w) as the light of the first white photograph would show it, float32."""
+        steady = self.black + (image - self.black) / self.gain[number]
+        saturated = image >= self.end_of_scale
+        # A dimmed pixel must not look saturated, nor a saturated one dimmed.
+        steady = np.where(saturated, self.end_of_scale, np.minimum(steady, np.nextafter(self.end_of_scale, 0.0)))
+        return np.asarray(steady, dtype=np.float32)
+
+    @property
+    def note(self) -> str:
+        """Sentence about the repair, and what remains."""
+        low, high = (100.0 * (each - 1.0) for each in self.drift)
+        said = f"White photographs taken again differ by {low:+.1f} to {high:+.1f} % from the first"
+        said += "" if np.isnan(self.flicker) else f", and the light flickers by {100 * self.flicker:.1f} % rms"
+        rest = f"; the flicker of {self.unpaired} pictures without an inverse stays" if self.unpaired else ""
+        return f"{said}: the pictures were scaled to one light{rest}. The noise that remains is in the sigmas."
+
+
+def light_gains(
+    pictures: Iterable[CodeImage | None],
+    whites: Iterable[CodeImage],
+    names: Sequence[str],
+    taken: IntArray,
+    taken_white: IntArray,
+    end_of_scale: float,
+) -> LightGains:
+    """Find the gain of each picture of a set.
+
+    Args:
+        pictures: photographs of the pictures; None where one is missing. whites: further photographs of white.
+        names: names of the pictures.
+        taken: (pictures,) places of the pictures in the order of taking, -1 of a missing one.
+        taken_white: (whites,) places of `whites` in this order.
+        end_of_scale: value from which a pixel is saturated.
+
+    Raises:
+        BadInputError: the first white or black is missing, a photograph has another size, or the panel was off in one.
+    """
+    source = iter(pictures)
+    white, black = next(source), next(source)
+    if white is None or black is None:
+        raise BadInputError("white photographs taken again need the first white and black; take these again.")
+    contrast = white.astype(np.float64) - black
+    lit = (contrast > _WELL_LIT * np.percentile(contrast, 95)) & (contrast > 0) & (white < end_of_scale)
+    rows = np.flatnonzero(lit)[:: max(1, int(np.count_nonzero(lit)) // _PIXELS)]
+    if not rows.size:
+        raise BadInputError("white is nowhere brighter than black; was the panel on?")
+
+    def relative(image: CodeImage) -> FloatArray:
+        if image.shape != contrast.shape:
+            raise BadInputError(
+                f"a photograph has {image.shape} pixels, the first one {contrast.shape}; take it again."
+            )
+        return np.asarray((image.ravel()[rows].astype(np.float64) - black.ravel()[rows]) / contrast.ravel()[rows])
+
+    of_white = [float(np.median(relative(each))) for each in whites]
+    if min(of_white) <= 0:
+        raise BadInputError("a white photograph taken again is no brighter than black; take it again, or leave it out.")
+    light = [np.ones(rows.size), np.zeros(rows.size)]
+    light += [np.full(rows.size, np.nan) if each is None else relative(each) for each in source]
+    drift = _drift(np.append(taken[0], taken_white), np.append(1.0, of_white), taken)
+    gain, known = drift.copy(), np.zeros(len(names), dtype=bool)
+    for one, other in inverse_pairs(names):
+        if taken[one] >= 0 and taken[other] >= 0:
+            both = [one, other]
+            gain[both], known[both] = _of_pair(light[one], light[other], drift[both]), True
+    gain[:2] = 1.0
+    flicker = float(np.sqrt(np.mean(np.log(gain[known] / drift[known]) ** 2))) if known.any() else np.nan
+    unpaired = int(np.sum(~known[2:] & (taken[2:] >= 0)))
+    ends = min(of_white + [1.0]), max(of_white + [1.0])
+    return LightGains(gain, black.astype(np.float64), end_of_scale, ends, flicker, unpaired)
+
+
+def inverse_pairs(names: Sequence[str]) -> list[tuple[int, int]]:
+    """Return the numbers of each picture that has an inverse, and of this: bits, and steps half a period apart."""
+    number = {name: place for place, name in enumerate(names)}
+    found = [(place, number[name + INVERSE]) for name, place in number.items() if name + INVERSE in number]
+    steps: dict[str, int] = {}
+    for name in names:
+        if fringe := re.fullmatch(r"(.*fringe .* step )(\d+)", name):
+            steps[fringe[1]] = max(steps.get(fringe[1], 0), int(fringe[2]) + 1)
+    for start, count in steps.items():
+        half = count // 2
+        found += [(number[f"{start}{n}"], number[f"{start}{n + half}"]) for n in range(half if count % 2 == 0 else 0)]
+    return found
+
+
+def _drift(place: IntArray, gain: FloatArray, taken: IntArray) -> FloatArray:
+    """Return the gain (n,) at places of the order of taking, from those of white photographs at other places."""
+    order = np.argsort(place)
+    between = PchipInterpolator(place[order], gain[order])
+    return np.asarray(between(np.clip(taken, place[order[0]], place[order[-1]])))
+
+
+def _of_pair(one: FloatArray, other: FloatArray, drift: FloatArray) -> FloatArray:
+    """Return the gains (2,) of a picture and its inverse, relative light (n,) each."""
+    design, kept = np.stack([one, other], axis=1), np.ones(len(one), dtype=bool)
+    prior = 1.0 / drift
+    found = prior
+    for _ in range(3):
+        off = design @ found - 1.0
+        kept = _near(off)
+        sigma = max(_GREY, float(np.std(off[kept])))
+        used = design[kept]
+        weight = _COUNTED / (sigma**2 * max(len(used), 1))
+        normal = weight * used.T @ used + np.eye(2) / _FLICKER**2
+        found = np.linalg.solve(normal, weight * used.sum(axis=0) + prior / _FLICKER**2)
+    return np.asarray(1.0 / np.maximum(found, 1e-3))
+
+
+def _near(off: FloatArray) -> BoolArray:
+    """Return (n,) which of the residuals are no outliers."""
+    middle = np.median(off)
+    scatter = max(1.4826 * float(np.median(np.abs(off - middle))), _GREY)
+    return np.asarray(np.abs(off - middle) <= _OUTLIER * scatter)
