@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from monado_vive import monados_directions
 
 from wlr_render.errors import BadInputError
 from wlr_render.exports.monado import Monado
@@ -102,23 +103,8 @@ def device_dir(down_tangents: FloatArray, turn: FloatArray) -> FloatArray:
 
 
 def steamvr_dir(pixel: FloatArray, side: str, colour: int) -> FloatArray:
-    """Monado's `u_compute_distortion_vive` and `_calculate_fov`: the place in the source picture, then its tangents."""
-    content = steamvr()
-    eye = content["tracking_to_eye_transform"][("left", "right").index(side)]
-    radial = eye[("distortion_red", "distortion", "distortion_blue")[colour]]
-    u, v = pixel[..., 0] / 1080, pixel[..., 1] / 1200
-    x, y = 2 * u - 1 - radial["center_x"], (2 * v - 1) / 0.9 - radial["center_y"]
-    r2 = x * x + y * y
-    k1, k2, k3, k4 = radial["coeffs"]
-    d = 1 / (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) + k4
-    grow = 0.5 / 1.4
-    place = 0.5 + (x * d + radial["center_x"]) * grow, 0.5 + (y * d + radial["center_y"]) * grow * 0.9
-    (fx, _, cx), (_, fy, cy), _ = np.array(eye["intrinsics"]) / 1.4
-    centre, focus = np.array([(1 - cx) * 540, (cy + 1) * 600]), np.array([fx * 540, fy * 600])
-    left, right, up, down = -centre[0] / focus[0], (1080 - centre[0]) / focus[0], centre[1] / focus[1], 0.0
-    down = -(1200 - centre[1]) / focus[1]
-    tangents = np.stack([left + place[0] * (right - left), -(up + place[1] * (down - up))], axis=-1)
-    return device_dir(tangents, np.array(eye["eye_to_head"]))
+    """Monado's formula of Vive and Index."""
+    return monados_directions(steamvr(), ("left", "right").index(side), colour, pixel)
 
 
 def wmr_dir(pixel: FloatArray, side: str, colour: int) -> FloatArray:

@@ -9,12 +9,13 @@ from wlr_render.exports.monado import Monado
 from wlr_render.exports.mrcal import Mrcal
 from wlr_render.exports.page import Page
 from wlr_render.exports.pixel_maps import Ffmpeg, FloatMap, Npz, Rays, StMap
+from wlr_render.exports.steamvr import SteamVr
 
-FormatName = Literal["stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh", "monado", "mrcal", "c", "page"]
+FormatName = Literal["stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh", "monado", "mrcal", "steamvr", "c", "page"]
 _FLOAT_MAPS = FloatMap("pfm"), FloatMap("tiff")
 _FILES_OF_MODELS = CModel(), Page()
 FORMATS: tuple[Format, ...] = (
-    *(StMap(), Rays(), *_FLOAT_MAPS, Ffmpeg(), Npz(), GltfMesh(), Monado(), Mrcal()),
+    *(StMap(), Rays(), *_FLOAT_MAPS, Ffmpeg(), Npz(), GltfMesh(), Monado(), Mrcal(), SteamVr()),
     *_FILES_OF_MODELS,
 )
 
