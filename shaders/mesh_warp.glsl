@@ -116,7 +116,12 @@ void main()
     mixed_bend[0] = vec2(0.0);
     sides = vec4(dFdx(at_infinity), dFdy(at_infinity));
     samples_per_axis = clamp(ceil(largest_stretch(mat2(sides.xy, sides.zw)) / SPACING_PX), 1.0, most_samples_per_axis);
+#ifdef WIDE_TILES  // a texture of the bounds of each tile and of two tiles around it: they hold for shorter paths
+    vec2 middle = (at_infinity + 0.5 * nearest * shift) / (float(TILE) * vec2(size_of(WIDE_TILES)));
+    range = length(shift) * nearest <= 4.0 * float(TILE) ? nearest_sampled(WIDE_TILES, middle).xy : vec2(0.0, nearest);
+#else
     range = vec2(0.0, nearest);
+#endif
     is_direct = length(shift) * nearest <= DIRECT_PX;
     shade();
     colour = vec4(light, alpha);

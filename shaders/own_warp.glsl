@@ -134,7 +134,10 @@ vec4 fetched(IMAGE image, ivec2 texel)
 // The four texels around a corner between them, of the first component: lower left, lower right, upper right, upper left.
 vec4 gathered(IMAGE image, vec2 shared_corner)
 {
-#if __VERSION__ == 300 || defined(NO_GATHER)  // WebGL 2, and GLSL in WebGPU
+#ifdef CORNERS  // a texture of one texel more across and down, with the four texels around each corner: one read for four
+    vec2 count = vec2(size_of(CORNERS));
+    return textureLod(READ(CORNERS, nearest_texel), (round(shared_corner * (count - 1.0)) + 0.5) / count, 0.0);
+#elif __VERSION__ == 300 || defined(NO_GATHER)  // WebGL 2, and GLSL in WebGPU
     ivec2 last = size_of(image) - 1, corner = ivec2(round(shared_corner * vec2(last + 1)));
     ivec2 low = clamp(corner - 1, ivec2(0), last), high = clamp(corner, ivec2(0), last);
     return vec4(fetched(image, ivec2(low.x, high.y)).x, fetched(image, high).x, fetched(image, ivec2(high.x, low.y)).x,
@@ -442,7 +445,12 @@ void main()
     mixed_bend[0] = vec2(0.0);
     sides = vec4(dFdx(at_infinity), dFdy(at_infinity));
     samples_per_axis = clamp(ceil(largest_stretch(mat2(sides.xy, sides.zw)) / SPACING_PX), 1.0, most_samples_per_axis);
+#ifdef WIDE_TILES  // a texture of the bounds of each tile and of two tiles around it: they hold for shorter paths
+    vec2 middle = (at_infinity + 0.5 * nearest * shift) / (float(TILE) * vec2(size_of(WIDE_TILES)));
+    range = length(shift) * nearest <= 4.0 * float(TILE) ? nearest_sampled(WIDE_TILES, middle).xy : vec2(0.0, nearest);
+#else
     range = vec2(0.0, nearest);
+#endif
     is_direct = length(shift) * nearest <= DIRECT_PX;
     shade();
     colour = vec4(light, alpha);
