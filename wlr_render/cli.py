@@ -67,8 +67,8 @@ HELP = {
         "simulate": "Simulate a session of photographs, as a lab would deliver it.",
     },
     MODELS: {
-        "calibrate": "Fit the models of one or both eyes to photographs, a bench session or captures, or to a "
-        "simulated device.",
+        "calibrate": "Fit the models of one or both eyes to photographs, a bench session, captures or alignments, or "
+        "to a simulated device.",
         "verify": "Measure the misalignment in your own photographs of the drawn target, display off and on.",
         "budget": "State the error budget of a headset: arcminutes by source, pixel by pixel, and what to improve "
         "first.",

@@ -29,6 +29,10 @@ def calibrate(options: CalibrateOptions, *, progress: ProgressArgument = SILENT)
         from wlr_render.jobs.calibrate.calibrate_device import calibrate_device
 
         return calibrate_device(options, progress=progress)
+    if subject is Subject.ALIGNMENTS:
+        from wlr_render.jobs.calibrate.alignments import calibrate_alignments
+
+        return calibrate_alignments(options, progress=progress)
     from wlr_render.jobs.calibrate.captures import calibrate_captures
 
     return calibrate_captures(options, progress=progress)

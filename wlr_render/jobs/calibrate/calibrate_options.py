@@ -8,7 +8,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
+from wlr_render.calibration.fit_alignments import AlignmentFit
 from wlr_render.calibration.fit_eye import KINDS_BY_PRESCRIPTION, Calibration, KindComparison, calibrate, fit_kinds
+from wlr_render.captures.alignments_file import is_alignments
 from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.photo_session import CHANNELS
 from wlr_render.captures.photo_session_file import FILE as PHOTO_SESSION
@@ -144,12 +146,13 @@ class Subject(StrEnum):
     PHOTOGRAPHS = "a session of photographs"
     BENCH = "a bench session"
     CAPTURES = "a capture file"
+    ALIGNMENTS = "a file of alignments"
     DEVICE = "a device"
 
 
 _GROUPS = {Subject.PHOTOGRAPHS: _PHOTOGRAPHS, Subject.BENCH: _BENCH, Subject.DEVICE: _DEVICE}
 """Groups of the options that have an effect on one subject only."""
-_SUBJECTS = "a folder of a session, a capture file (.npz), or a device (name or .toml)"
+_SUBJECTS = "a folder of a session, a capture file (.npz), alignments (.toml), or a device (name or .toml)"
 
 
 @dataclass(frozen=True)
@@ -159,7 +162,8 @@ class CalibrateOptions(SpreadOptions):
     path: Annotated[
         str,
         described(
-            "Folder of a session of photographs or of a bench session, capture file (.npz), or device (name or .toml)."
+            "Folder of a session of photographs or of a bench session, capture file (.npz), a wearer's alignments "
+            "(.toml, docs/files.md), or device (name or .toml)."
         ),
     ]
     _: KW_ONLY
@@ -225,6 +229,8 @@ class CalibrateOptions(SpreadOptions):
         if not path.is_dir():
             if is_model(path):
                 raise BadInputError(f"{path}: is a fitted model; name {_SUBJECTS}.")
+            if is_alignments(path):
+                return Subject.ALIGNMENTS
             return Subject.CAPTURES if path.suffix.lower() == ".npz" else Subject.DEVICE
         for name, subject in ((PHOTO_SESSION, Subject.PHOTOGRAPHS), ("bench.toml", Subject.BENCH)):
             if (path / name).exists():
@@ -240,6 +246,11 @@ class CalibrateOptions(SpreadOptions):
         Raises:
             BadInputError: an option has no effect on it.
         """
+        if subject is Subject.ALIGNMENTS and (self.fit != DEFAULT_FIT or self.validate):
+            raise BadInputError(
+                f"--validate and the options of the fit are not used with {subject}, and {self.path} is one; leave "
+                "them out."
+            )
         hints = typing.get_type_hints(type(self), include_extras=True)
         for field in dataclasses.fields(self):
             groups = [note.group for note in getattr(hints[field.name], "__metadata__", ()) if hasattr(note, "group")]
@@ -265,7 +276,9 @@ def require_readable_models(folder: Path, name: str = MODEL_FILE) -> None:
             ) from error
 
 
-def save_models(folder: Path, fits: Sequence[Calibration], name: str = MODEL_FILE) -> tuple[Path, tuple[str, ...]]:
+def save_models(
+    folder: Path, fits: Sequence[Calibration | AlignmentFit], name: str = MODEL_FILE
+) -> tuple[Path, tuple[str, ...]]:
     """Write a model file; return its path, and sentences about its previous content."""
     path = folder / name
     before = {model.device for model in load_eye_models(path).values()} if path.exists() else set()

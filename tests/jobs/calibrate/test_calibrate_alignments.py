@@ -1,0 +1,77 @@
+"""`calibrate ALIGNMENTS`: from the file of a wearer to a model that other verbs take."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from present import as_number
+
+import wlr_render as wlr
+from wlr_render.budget.error_map import ErrorMap
+from wlr_render.budget.error_sizes import ErrorSizes
+from wlr_render.errors import BadInputError
+from wlr_render.io.toml_files import read_toml, write_toml
+from wlr_render.jobs.calibrate.calibrate import calibrate
+from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions, FitOptions
+from wlr_render.mappings import Eye
+
+EYE = np.array([0.002, -0.001, 0.01])
+
+
+@pytest.fixture
+def alignments(flat_image_headset: Eye, tmp_path: Path) -> Path:
+    """Twelve alignments at one metre with a tremor of 3'."""
+    rng = np.random.default_rng(4)
+    pixel = rng.uniform(0.1, 0.9, (12, 2)) * flat_image_headset.display.panel.size_px
+    shown = flat_image_headset.display.view_dir_of_pixel(pixel, EYE).value
+    point = EYE - shown / shown[:, 2:] + 0.001 * rng.standard_normal((12, 3))
+    box = flat_image_headset.eye_box
+    content = {
+        "format": "wlr-alignments",
+        "version": 1,
+        "frame": "openxr",
+        "device": "mine",
+        "eye": "right",
+        "panel_px": [140, 100],
+        "eye_box": {"centre_m": box.centre.tolist(), "size_m": box.size.tolist()},
+        "alignment": [{"pixel": p.tolist(), "point_m": q.tolist()} for p, q in zip(pixel, point, strict=True)],
+    }
+    return write_toml(tmp_path / "wearer.toml", content)
+
+
+def test_a_model_with_predicted_errors_comes_of_alignments(alignments: Path, tmp_path: Path) -> None:
+    report = calibrate(CalibrateOptions(str(alignments), out=tmp_path / "out"))
+    assert report.verdict.startswith("Right eye: 12 alignments predict points at 1 m to ")
+    assert any(step.startswith("Align points at other distances too: all are 1 to 1 m away") for step in report.advice)
+    near, middle, far = (as_number(row[1]) for row in report.tables[0].rows)
+    assert middle < min(near, far)
+    eye = wlr.open_eye(tmp_path / "out" / "model.json", "right")
+    predicted = ErrorMap(eye, ErrorSizes()).at(eye.eye_box.centre, depth_m=1.0)
+    assert {each.name for each in predicted.sources if each.rms_arcmin > 0} == {
+        "alignments"
+    } or predicted.rms_arcmin > 1.0
+    assert predicted.rms_arcmin == pytest.approx(middle, rel=0.3)
+
+
+def test_what_is_wrong_in_the_file_is_named(alignments: Path, tmp_path: Path) -> None:
+    text = alignments.read_text()
+    out = tmp_path / "out"
+    for old, new, sentence in (
+        ('eye = "right"', 'eye = "third"', "'eye' is 'third'; it must be one of left, right"),
+        ("panel_px = [140, 100]", "panel_px = [14, 10]", "of the panel pixels are outside the panel of 14 x 10"),
+        ("point_m", "point_mm", "key 'point_m' is missing"),
+        ('device = "mine"', 'device = "mine"\nwearer = 3', "unknown key 'wearer'"),
+    ):
+        assert old in text
+        alignments.write_text(text.replace(old, new))
+        with pytest.raises(BadInputError, match=sentence):
+            calibrate(CalibrateOptions(str(alignments), out=out))
+    alignments.write_text(text)
+    table = read_toml(alignments)
+    assert len(table.tables("alignment")) == 12
+    with pytest.raises(BadInputError, match="not used with a file of alignments"):
+        calibrate(CalibrateOptions(str(alignments), out=out, fit=FitOptions(degree=2)))
+    with pytest.raises(BadInputError, match="not used with a file of alignments"):
+        calibrate(CalibrateOptions(str(alignments), out=out, validate=True))
+    with pytest.raises(BadInputError, match=r"--seed is used with a device only, and .* is a file of alignments"):
+        calibrate(CalibrateOptions(str(alignments), out=out, seed=2))

@@ -1,0 +1,298 @@
+"""A model of one eye from a wearer's few alignments of pixels with real points, in the manner of SPAAM.
+
+At the wearer's eye e a pixel (u, v) covers the point P:
+
+    (P_xy - e_xy) / (e_z - P_z) = a(u, v) + b + noise
+
+a, a polynomial of order 5, is the direction of the pixel, e is known to the eye box, and b is the constant error of the
+hand. SPAAM (Tuceryan, Genc and Navab, Presence 11, 2002, 259-276) has eleven numbers for a flat screen and an eye, and
+fewer than six alignments do not determine them. Here priors of ordinary headsets hold what the alignments do not
+determine, and the covariance states it. Errors of successive alignments are correlated, because a head sways slowly.
+Their size and correlation, and the size of the distortion, are averaged over by their evidence, not chosen.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, cast
+
+import numpy as np
+
+from wlr_render.captures.alignments_file import Alignments
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.mappings import Eye, EyeBox
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.models.model_file import EyeModel
+from wlr_render.models.model_place import NOWHERE
+from wlr_render.models.point_per_pixel import PointPerPixelDisplay
+from wlr_render.models.see_through_model import SeeThroughModel
+from wlr_render.models.spread import Covariance
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
+
+LEAST, MOST = 6, 1000
+"""Number of alignments: six have as many numbers as SPAAM has unknowns."""
+SOURCE = "alignments"
+"""Source of the errors of the model in an error budget."""
+_ORDER = 5
+_MIDDLE, _SCALE, _SPREAD, _TURN = 0.2, 0.4, 0.25, 0.06
+"""Tangents: sigma of the middle of the panel, usual half field and its sigma, sigma of the terms that a roll adds."""
+_BENT = {order: 0.02 * 0.5 ** (order - 2) for order in range(2, _ORDER + 1)}
+"""Tangents at the panel's edge: sigma of the terms of an order, of keystone and distortion; each order has a half."""
+_BENT_FACTORS = (0.3, 1.0, 3.0, 6.0)  # factors on these sizes
+_HAND_ARCMIN, _HAND_LOG = 6.0, 0.7  # usual error of a wearer's alignment per axis, sigma of its logarithm
+_HANDS_ARCMIN = tuple(np.geomspace(1.0, 40.0, 9))
+_CONSTANT = 0.5  # constant error of the hand over its random one: no alignment shows it
+_ALIKE = (0.0, 0.4, 0.8)  # correlations of successive alignments
+_INVERSE_DEPTH, _INVERSE_DEPTH_SIGMA = 0.7, 0.4  # 1/m of the virtual image, which one place of the eye does not show
+_ROUNDS = 4  # linearisations about the eye's place
+_ON_A_LINE = 0.02  # spread of the pixels across their best line, over the panel's height
+_CONTRADICTION_ARCMIN = 90.0  # residual of no wearer: axes or frames are mixed up
+_SUSPECTS = 3  # alignments of the largest residuals, which are predicted from the others
+_OUTLIER = 4.0  # standard errors by which an alignment misses the prediction from the others
+
+
+@dataclass(frozen=True, eq=False)
+class AlignmentFit:
+    """The model of a wearer's alignments.
+
+    Attributes:
+        device: name of the headset.
+        mappings: the fitted eye; its eye box is about the place of the wearer's eye as found.
+        eye_m, eye_sigma_m: (3,) this place and its sigma, device frame; optics that shift what lies behind them, as a
+            plate does, shift it.
+        hand_arcmin: random error of an alignment per axis, as found.
+        residual_arcmin: (n,) length of what the fit leaves of each alignment.
+        doubtful: numbers of alignments, from 1, that the others do not predict.
+    """
+
+    device: str
+    mappings: Eye
+    eye_m: FloatArray
+    eye_sigma_m: FloatArray
+    hand_arcmin: float
+    residual_arcmin: FloatArray
+    doubtful: tuple[int, ...]
+
+    @property
+    def display(self) -> FittedDisplay:
+        """Directions of the pixels at the wearer's eye."""
+        display: Any = self.mappings.display  # of `_eye`
+        return cast(FittedDisplay, display)
+
+    @property
+    def see_through(self) -> FittedSeeThrough:
+        """Straight rays, with the uncertainty of the eye's place."""
+        see_through: Any = self.mappings.see_through
+        return cast(FittedSeeThrough, see_through)
+
+    def model(self) -> EyeModel:
+        """Return the model as `models.model_file.save_eye_models` takes it."""
+        report = {
+            "alignments": len(self.residual_arcmin),
+            "hand_arcmin": self.hand_arcmin,
+            "eye_m": self.eye_m.tolist(),
+            "eye_sigma_m": self.eye_sigma_m.tolist(),
+        }
+        return EyeModel(self.mappings, self.device, report)
+
+
+@dataclass(frozen=True)
+class _Posterior:
+    """Posterior of the unknowns: coefficients of a along x, then y, place of the eye, constant error; see `_prior`."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    hand: float
+
+
+def fit_alignments(found: Alignments) -> AlignmentFit:
+    """Fit a model to the alignments of one wearer.
+
+    Raises:
+        BadInputError: too few alignments, pixels on one line, or alignments that contradict each other.
+    """
+    _require_determined(found)
+    orders, box = total_degree(2, _ORDER), Box(np.zeros(2), found.panel.size_px)
+    terms = basis(found.pixel, orders, box)
+    eye = found.eye_box.centre
+    for _ in range(_ROUNDS):
+        posterior = _posterior(found, terms, orders, eye)
+        count = 2 * len(orders)
+        eye = found.eye_box.centre + posterior.mean[count : count + 3]
+    coefficients = posterior.mean[:count].reshape(2, -1).T
+    left = (_straight(found, eye) - terms @ coefficients) / ARCMIN
+    if (worst := float(np.median(np.linalg.norm(left, axis=1)))) > _CONTRADICTION_ARCMIN:
+        raise BadInputError(
+            f"{found.path}: the alignments contradict each other by {worst:.0f}'; give points in the device frame "
+            "(metres, x right, y up, z backward) and pixels from the panel's outer top left corner."
+        )
+    return AlignmentFit(
+        found.device,
+        _eye(found, orders, box, posterior, eye),
+        eye,
+        np.sqrt(np.diag(posterior.covariance)[count : count + 3]),
+        posterior.hand,
+        np.linalg.norm(left, axis=1),
+        _doubtful(found, terms, orders, eye, np.linalg.norm(left, axis=1)),
+    )
+
+
+def _require_determined(found: Alignments) -> None:
+    count = len(found.pixel)
+    if not LEAST <= count <= MOST:
+        raise BadInputError(
+            f"{found.path}: has {count} alignments; a model needs {LEAST} to {MOST}, at pixels all over the panel."
+        )
+    off = found.pixel - found.pixel.mean(axis=0)
+    across = float(np.linalg.svd(off, compute_uv=False)[1]) / np.sqrt(count)
+    if across < _ON_A_LINE * found.panel.height_px:
+        raise BadInputError(
+            f"{found.path}: the pixels of all {count} alignments lie on one line of the panel, within {across:.0f} "
+            "pixels; align at pixels all over the panel."
+        )
+
+
+def _straight(found: Alignments, eye: FloatArray) -> FloatArray:
+    """Return the tangents (n, 2) of the points from the eye."""
+    return np.asarray((found.point[:, :2] - eye[:2]) / (eye[2] - found.point[:, 2])[:, None])
+
+
+def _design(found: Alignments, terms: FloatArray, eye: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return values (2 n,), x of all before y, and their derivatives (2 n, unknowns), linear about an eye."""
+    depth, straight = eye[2] - found.point[:, 2], _straight(found, eye)
+    count, k = terms.shape
+    design = np.zeros((2, count, 2 * k + 5))
+    for axis in (0, 1):
+        design[axis, :, axis * k : (axis + 1) * k] = terms
+        design[axis, :, 2 * k + axis] = 1.0 / depth
+        design[axis, :, 2 * k + 2] = straight[:, axis] / depth
+        design[axis, :, 2 * k + 3 + axis] = 1.0
+    values = straight.T.ravel() + design[:, :, 2 * k : 2 * k + 3].reshape(2 * count, 3) @ (eye - found.eye_box.centre)
+    return values, design.reshape(2 * count, -1)
+
+
+def _prior(found: Alignments, orders: IntArray, bent: float, hand: float) -> tuple[FloatArray, FloatArray]:
+    """Return mean and sigma (unknowns,): of coefficients, the eye from the eye box's centre, and the hand's error."""
+    total, k = orders.sum(axis=1), len(orders)
+    mean, sigma = np.zeros((2, k)), np.zeros((2, k))
+    sigma[:, total == 0] = _MIDDLE
+    for axis, sign in ((0, 1.0), (1, -1.0)):  # rows run down
+        own = (total == 1) & (orders[:, axis] == 1)
+        mean[axis, own], sigma[axis, own] = sign * _SCALE, _SPREAD
+        sigma[axis, (total == 1) & ~own] = _TURN
+    for order, size in _BENT.items():
+        sigma[:, total == order] = bent * size
+    eye = found.eye_box.size / np.sqrt(12.0)
+    constant = np.full(2, _CONSTANT * hand)
+    return np.concatenate([mean.ravel(), np.zeros(5)]), np.concatenate([sigma.ravel(), eye, constant])
+
+
+def _noise(found: Alignments, alike: float) -> FloatArray:
+    """Return the correlation (n, n) of the errors of alignments along an axis, by their order or their times."""
+    place = np.arange(len(found.pixel), dtype=np.float64)
+    if found.time_s is not None:
+        place = found.time_s / np.median(np.diff(found.time_s))
+    apart = np.abs(place[:, None] - place)
+    return np.asarray(alike**apart if alike else np.eye(len(place)))
+
+
+def _posterior(found: Alignments, terms: FloatArray, orders: IntArray, eye: FloatArray) -> _Posterior:
+    """Average over sizes of the hand's errors and the distortion, and correlations, by their evidence."""
+    values, design = _design(found, terms, eye)
+    fits = list(_fits(found, values, design, orders))
+    weight = np.exp(np.array([each[0] for each in fits]) - max(each[0] for each in fits))
+    weight /= weight.sum()
+    mean = sum(w * each[1] for w, each in zip(weight, fits, strict=True))
+    covariance = sum(
+        w * (each[2] + np.outer(each[1] - mean, each[1] - mean)) for w, each in zip(weight, fits, strict=True)
+    )
+    hand = float(np.exp(np.sum(weight * np.log([each[3] for each in fits]))))
+    return _Posterior(np.asarray(mean), np.asarray(covariance), hand / ARCMIN)
+
+
+def _fits(
+    found: Alignments, values: FloatArray, design: FloatArray, orders: IntArray
+) -> Iterator[tuple[float, FloatArray, FloatArray, float]]:
+    """Yield the logarithm of the evidence, mean, covariance, and size of the hand's error of each choice."""
+    count = len(values) // 2
+    for alike in _ALIKE:
+        whiten = np.linalg.inv(np.linalg.cholesky(_noise(found, alike)))
+        log_det = 2.0 * float(np.sum(np.log(np.diag(whiten))))  # of both axes
+        for hand_arcmin, bent in product(_HANDS_ARCMIN, _BENT_FACTORS):
+            hand = float(hand_arcmin * ARCMIN)
+            prior, sigma = _prior(found, orders, bent, hand)
+            left = (whiten @ (values - design @ prior).reshape(2, count, 1) / hand).ravel()
+            columns = (whiten @ design.reshape(2, count, -1) / hand).reshape(2 * count, -1) * sigma
+            normal = np.eye(len(sigma)) + columns.T @ columns
+            lower = np.linalg.cholesky(normal)
+            unit = np.linalg.solve(normal, columns.T @ left)
+            misfit = float(left @ left - unit @ (columns.T @ left))
+            evidence = -0.5 * misfit - float(np.sum(np.log(np.diag(lower)))) + log_det - 2 * count * np.log(hand)
+            evidence -= 0.5 * (np.log(hand_arcmin / _HAND_ARCMIN) / _HAND_LOG) ** 2
+            covariance = np.linalg.inv(normal) * sigma[:, None] * sigma
+            yield evidence, prior + sigma * unit, covariance, hand
+
+
+def _doubtful(
+    found: Alignments, terms: FloatArray, orders: IntArray, eye: FloatArray, left: FloatArray
+) -> tuple[int, ...]:
+    """Return the numbers of alignments, among those of the largest residuals (n,), that a fit to the others misses."""
+    doubtful, count = [], len(found.pixel)
+    values, design = _design(found, terms, eye)
+    for number in map(int, np.argsort(-left)[: _SUSPECTS * (count > LEAST)]):
+        rest = np.arange(count) != number
+        others = _posterior(found.select(rest), terms[rest], orders, eye)
+        own = [number, count + number]
+        miss = values[own] - design[own] @ others.mean
+        variance = design[own] @ others.covariance @ design[own].T + np.eye(2) * (others.hand * ARCMIN) ** 2
+        if miss @ np.linalg.solve(variance, miss) > _OUTLIER**2:
+            doubtful.append(number + 1)
+    return tuple(sorted(doubtful))
+
+
+def _eye(found: Alignments, orders: IntArray, box: Box, posterior: _Posterior, eye: FloatArray) -> Eye:
+    """Return the eye: the display's directions at the wearer's eye, and straight rays from a place that is unsure.
+
+    Errors of both come from the same alignments: their variables are shared. One more is the image's distance.
+    """
+    k = len(orders)
+    size = np.sqrt(np.diag(posterior.covariance))
+    values, vectors = np.linalg.eigh(posterior.covariance / np.outer(size, size))
+    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    rank = root.shape[1] + 1
+    point = np.zeros((k, 3))
+    point[:, :2] = posterior.mean[: 2 * k].reshape(2, k).T
+    point[0, 2] = _INVERSE_DEPTH
+    joint = np.zeros((k, 3, rank))
+    joint[:, :2, :-1] = root[: 2 * k].reshape(2, k, -1).transpose(1, 0, 2)
+    joint[0, 2, -1] = _INVERSE_DEPTH_SIGMA
+    sources = (SOURCE,) * rank
+    eye_box = EyeBox(eye, found.eye_box.size)
+    none = Polynomial(orders, box, np.zeros((k, 0)))
+    display = PointPerPixelDisplay(
+        found.panel,
+        eye_box,
+        Polynomial(orders, box, point),
+        Covariance(3, none, Polynomial(orders, box, joint.reshape(k, -1)), sources),
+    )
+    # From a place that is off by d, a point at the depth Z lies (d_xy + t d_z) / Z off: the model's B.
+    everywhere, linear = Box(np.full(2, -10.0), np.full(2, 10.0)), total_degree(2, 1)
+    deviation = np.zeros((3, 4, rank))
+    constant = int(np.flatnonzero(linear.sum(axis=1) == 0)[0])
+    for axis in (0, 1):
+        deviation[constant, 2 + axis, :-1] = root[2 * k + axis]
+        deviation[int(np.flatnonzero(linear[:, axis] == 1)[0]), 2 + axis, :-1] = 10.0 * root[2 * k + 2]
+    see_through = SeeThroughModel(
+        eye_box,
+        NOWHERE,
+        Polynomial(linear, everywhere, np.zeros((3, 4))),
+        Covariance(
+            4,
+            Polynomial(linear, everywhere, np.zeros((3, 0))),
+            Polynomial(linear, everywhere, deviation.reshape(3, -1)),
+            sources,
+        ),
+    )
+    return Eye(f"{found.device} (alignments)", found.eye, display, see_through, eye_box)
