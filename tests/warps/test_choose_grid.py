@@ -12,6 +12,7 @@ from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.choose_grid import (
     TOLERANCE_ARCMIN,
+    choose_mesh_grid,
     choose_warp_grid,
     warp_grid_error_arcmin,
 )
@@ -56,6 +57,17 @@ def test_a_stronger_curvature_needs_a_denser_grid(toy_headset: Eye) -> None:
     mild, strong = (choose_warp_grid(cubic_eye(toy_headset, k), np.eye(3)) for k in (1.0, 27.0))
     np.testing.assert_allclose(mild.cell_px / strong.cell_px, 3, rtol=0.2)
     assert 0.4 * TOLERANCE_ARCMIN < strong.bound_arcmin <= TOLERANCE_ARCMIN
+
+
+@pytest.mark.parametrize("bent", [1.0, 9.0])
+def test_triangles_are_as_large_as_the_second_difference_allows(toy_headset: Eye, bent: float) -> None:
+    tolerance = 0.5
+    grid = choose_mesh_grid(cubic_eye(toy_headset, bent), np.eye(3), (600, 400), tolerance)
+    # An eighth of the second difference, largest at the panel's sides, where rays turn less than their tangents grow.
+    u = 0.5 * PANEL.width_px * 1e-3
+    turn = 1 / (1 + (u + bent * u**3) ** 2)
+    largest_px = 1e3 * np.sqrt(8 * tolerance * directions.ARCMIN / (6 * bent * u * turn))
+    assert 0.8 * largest_px < grid.step_px[0] < 1.02 * largest_px
 
 
 @pytest.mark.parametrize("device", ["freeform40", "birdbath28"])

@@ -15,8 +15,8 @@ from wlr_render.exports.export_view import ExportedView, has_ray
 from wlr_render.exports.facts import facts
 from wlr_render.exports.format import Capabilities, Format, Loss
 from wlr_render.io.atomic_files import write_text
+from wlr_render.warp.choose_grid import choose_mesh_grid
 from wlr_render.warp.grid import WarpGrid
-from wlr_render.warp.mesh_grid import mesh_grid, mesh_triangles
 
 TOLERANCE_ARCMIN = 0.1
 """Largest interpolation error: a tenth of the error at another depth; a finer mesh costs an engine more than it
@@ -76,7 +76,7 @@ class GltfMesh(Format):
             for colour in view.colours
         ]
         is_solved = np.all([has_ray(texture) for texture in source], axis=0).ravel()
-        triangles = mesh_triangles(grid)
+        triangles = grid.triangles()
         triangles = triangles[is_solved[triangles].all(axis=1)]
         if not len(triangles):
             raise BadInputError(
@@ -91,7 +91,7 @@ class GltfMesh(Format):
 def _grid(view: ExportedView) -> WarpGrid:
     """Return the coarsest grid of points that is fine enough for all colours."""
     axes = view.source.device_from_camera
-    grids = [mesh_grid(each, axes, view.panel_size_px, TOLERANCE_ARCMIN) for each in view.channels]
+    grids = [choose_mesh_grid(each, axes, view.panel_size_px, TOLERANCE_ARCMIN) for each in view.channels]
     return min(grids, key=lambda each: float(each.step_px.min()))
 
 

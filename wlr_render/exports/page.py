@@ -24,7 +24,7 @@ from wlr_render.io.escapes import html_text
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.scene.scene_file import load_scene
-from wlr_render.warp.mesh_grid import mesh_grid
+from wlr_render.warp.choose_grid import choose_mesh_grid
 
 TEMPLATE = "page.html"
 _DATA = "DATA_OF_THE_PAGE"
@@ -78,7 +78,7 @@ def page_data(view: ExportedView, colour: str) -> dict[str, Any]:
     scale = min(1.0, MOST_PX / max(view.panel_size_px))
     width_px, height_px = (max(1, round(scale * size)) for size in view.panel_size_px)
     panel_px = width_px, height_px
-    grid = mesh_grid(eye, axes, panel_px, TOLERANCE_ARCMIN)
+    grid = choose_mesh_grid(eye, axes, panel_px, TOLERANCE_ARCMIN)
     seen = _eye_camera(eye, height_px)
     camera = _picture_camera(view.source.camera, scale)
     picture, inverse_depth = _picture(view, camera)

@@ -1,36 +1,54 @@
-"""Choice of the warp grid: the coarsest whose measured interpolation error is within a tolerance.
+"""Choice of a warp grid, or of a mesh's: the coarsest whose measured interpolation error is within a tolerance.
 
 `WarpGrid.interpolated` misses of a smooth ray map its third derivatives: the error grows with the cube of the cell's
-size and more.
+size and more. The triangles of a mesh miss the second ones: it grows with the square.
 """
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
-from wlr_render.mappings import Eye
+from wlr_render.mappings import Eye, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.grid import WarpGrid
-from wlr_render.warp.ray_map import NEAREST_M, solve_pixels
+from wlr_render.warp.ray_map import NEAREST_M, RayMap, RayMapPlan, choose_plan, ray_map, solve_pixels
 
 TOLERANCE_ARCMIN = 0.02
 """A tenth of the misalignment that the composed frame may have, so that squared it is a hundredth; below what float32
 and a display pixel of 1 to 3 arcmin let anyone see."""
 
-_COARSEST_CELLS = 16
 _MOST_CELLS = 256
-_JUDGED_CELLS = 10
 _JUDGED_PIXELS = 60
-_JUDGED_PLACES = np.array([[0.21, 0.21], [0.79, 0.21], [0.5, 0.5], [0.21, 0.79], [0.79, 0.79]])
-"""Positions in a cell with the largest error: of cubics in one coordinate, and on the diagonal of mixed cubics."""
-_JUDGED_VIEWPOINTS = np.array([[0, 0, 0], *itertools.product((-1, 1), repeat=3)], dtype=np.float64)
-_AIM = 0.95
 _BLOCK_PX = 4
 _MOST_SNAPPED = 0.2
+_LEAST_CHANGE = 0.9
+_NODES_TOLERANCE_PX = 0.0005
+
+
+@dataclass(frozen=True)
+class _Search:
+    order: int  # power of the cell's size with which the error goes
+    places: FloatArray  # positions in a cell with the largest error
+    cells: int  # judged along each axis
+    units: FloatArray  # judged viewpoints, as `EyeBox.at`
+    coarsest_cells: int
+    aim: float  # share of the tolerance that the next grid is to reach
+    close: float  # expected growth of a cell from which on a grid within the tolerance is not taken yet
+
+
+_CORNERS = np.array([[0, 0, 0], *itertools.product((-1, 1), repeat=3)], dtype=np.float64)
+# Cubics in one coordinate err most at these places, mixed cubics on the diagonal.
+_OF_CUBICS = np.array([[0.21, 0.21], [0.79, 0.21], [0.5, 0.5], [0.21, 0.79], [0.79, 0.79]])
+_QUADRATIC = _Search(3, _OF_CUBICS, 10, _CORNERS, coarsest_cells=16, aim=0.95, close=np.inf)
+# Triangles err most at the middles of their sides, of which the diagonal is the longest, and within.
+_OF_SQUARES = np.array([[0, 3], [3, 0], [3, 3], [3, 6], [6, 3], [2, 2], [4, 4]]) / 6
+_LINEAR = _Search(2, _OF_SQUARES, 24, _CORNERS[[0, 8, 2, 3, 5]], coarsest_cells=8, aim=0.85, close=1.1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +79,7 @@ def choose_warp_grid(
 ) -> ChosenWarpGrid:
     """Return the coarsest warp grid of nearly square cells whose error is within the tolerance over the eye box.
 
-    Judged at the eye box's centre and at its corners, at `judged_pixels`. There are at most 256 cells along an axis:
+    Judged at the eye box's centre and at its corners. There are at most 256 cells along an axis:
     where that is not fine enough, `bound_arcmin` exceeds the tolerance. Cells are whole blocks of 4 x 4 px where such a
     size divides the panel and is not much smaller than necessary: GPUs and software renderers shade pixels in blocks,
     and those on the border of two triangles twice.
@@ -72,15 +90,71 @@ def choose_warp_grid(
         tolerance_arcmin: as `warp_grid_error_arcmin`.
     """
     panel = mappings.display.panel
-    finest_px = float(np.max(panel.size_px)) / _MOST_CELLS
-    cell_px = max(float(np.min(panel.size_px)) / _COARSEST_CELLS, finest_px)
-    while True:
+
+    def judged(cell_px: float) -> ChosenWarpGrid:
         columns, rows = (max(_cells_along(int(size), cell_px) + 1, 3) for size in panel.size_px)
-        warp_grid = WarpGrid.edge_to_edge(panel, columns, rows)
-        chosen = _judged(mappings, device_from_camera, warp_grid)
-        if chosen.bound_arcmin <= tolerance_arcmin or cell_px <= finest_px or chosen.hole_share == 1:
+        grid = WarpGrid.edge_to_edge(panel, columns, rows)
+        return _judged(mappings, grid, _QUADRATIC, partial(warp_grid_error_arcmin, mappings, device_from_camera, grid))
+
+    return _coarsest(judged, _QUADRATIC, panel, float(np.max(panel.size_px)) / _MOST_CELLS, tolerance_arcmin)
+
+
+def choose_mesh_grid(mappings: Eye, axes: FloatArray, size_px: tuple[int, int], tolerance_arcmin: float) -> WarpGrid:
+    """Return the coarsest grid of square cells whose triangles are within the tolerance; no finer than the picture."""
+    panel, nodes = mappings.display.panel, _node_count(mappings)
+
+    def judged(cell_px: float) -> ChosenWarpGrid:
+        columns, rows = (np.ceil(panel.size_px / cell_px).astype(int) + 1).tolist()
+        plan = RayMapPlan.onto_grid(WarpGrid.edge_to_edge(panel, columns, rows), nodes, axes)
+        return _judged_mesh(mappings, plan, partial(ray_map, mappings, plan=plan))
+
+    return _coarsest(judged, _LINEAR, panel, float(np.min(panel.size_px / size_px)), tolerance_arcmin).grid
+
+
+def _coarsest(
+    judged: Callable[[float], ChosenWarpGrid], kind: _Search, panel: Panel, finest_px: float, tolerance: float
+) -> ChosenWarpGrid:
+    """Return the coarsest grid within the tolerance, the finest if none is, the first if no ray is known."""
+    coarsest_px = max(float(np.min(panel.size_px)) / kind.coarsest_cells, finest_px)
+    cell_px, finer = coarsest_px, None
+    while True:
+        chosen = judged(cell_px)
+        is_within = chosen.bound_arcmin <= tolerance
+        if finer is not None:  # cells were made larger again
+            return chosen if is_within else finer
+        change = (kind.aim * tolerance / max(chosen.bound_arcmin, 1e-9)) ** (1 / kind.order)
+        aimed_px = float(
+            np.clip(cell_px * (change if is_within else min(_LEAST_CHANGE, change)), finest_px, coarsest_px)
+        )
+        if np.isinf(chosen.bound_arcmin) or aimed_px == cell_px or (is_within and aimed_px < kind.close * cell_px):
             return chosen
-        cell_px = max(finest_px, cell_px * min(0.9, float(np.cbrt(_AIM * tolerance_arcmin / chosen.bound_arcmin))))
+        cell_px, finer = aimed_px, chosen if is_within else None
+
+
+def mesh_plan(mappings: Eye, axes: FloatArray, grid: WarpGrid) -> RayMapPlan:
+    """Return the plan of a mesh's ray maps, with enough nodes that the triangles limit the accuracy."""
+    return RayMapPlan.onto_grid(grid, _node_count(mappings), axes)
+
+
+def _node_count(mappings: Eye) -> int:
+    return choose_plan(mappings, _NODES_TOLERANCE_PX).node_count
+
+
+def mesh_error_arcmin(mappings: Eye, plan: RayMapPlan, ray_map_at: Callable[[FloatArray], RayMap]) -> float:
+    """Largest error of rays between the vertices, in cells all over the panel and viewpoints all over the eye box.
+
+    Against the exact solve, as `ray_error_arcmin`; infinite if no ray is found anywhere.
+    """
+    return _judged_mesh(mappings, plan, ray_map_at).bound_arcmin
+
+
+def _judged_mesh(mappings: Eye, plan: RayMapPlan, ray_map_at: Callable[[FloatArray], RayMap]) -> ChosenWarpGrid:
+    def error_at(viewpoint: FloatArray, pixel: FloatArray) -> FloatArray:
+        rays = np.asarray(ray_map_at(viewpoint).slope_offset, np.float64)
+        exact = solve_pixels(mappings, plan.device_from_camera, pixel, viewpoint).slope_offset
+        return ray_error_arcmin(plan.warp_grid.interpolated(rays, pixel, bends=False), exact)
+
+    return _judged(mappings, plan.warp_grid, _LINEAR, error_at)
 
 
 def _cells_along(size_px: int, most_px: float) -> int:
@@ -93,26 +167,19 @@ def _cells_along(size_px: int, most_px: float) -> int:
     return size_px // whole_blocks[-1] if whole_blocks else int(np.ceil(size_px / most_px))
 
 
-def _judged(mappings: Eye, device_from_camera: FloatArray, warp_grid: WarpGrid) -> ChosenWarpGrid:
-    pixel = judged_pixels(warp_grid)
-    error = np.stack(
-        [
-            warp_grid_error_arcmin(mappings, device_from_camera, warp_grid, mappings.eye_box.at(unit), pixel)
-            for unit in _JUDGED_VIEWPOINTS
-        ]
-    )
+def _judged(
+    mappings: Eye, grid: WarpGrid, kind: _Search, error_at: Callable[[FloatArray, FloatArray], FloatArray]
+) -> ChosenWarpGrid:
+    """Judge a grid in cells out to the panel's corners, and at fixed pseudo-random pixels."""
+    along = [np.unique(np.linspace(0, count - 2, kind.cells).round()) for count in grid.size]
+    cells = np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 1, 2)
+    in_cells = grid.first_px + grid.step_px * (cells + kind.places).reshape(-1, 2)
+    elsewhere = np.random.default_rng(20250102).uniform(0.5, grid.panel.size_px - 0.5, (_JUDGED_PIXELS, 2))
+    pixel = np.concatenate([in_cells, elsewhere])
+    error = np.stack([error_at(mappings.eye_box.at(unit), pixel) for unit in kind.units])
     known = np.isfinite(error)
     bound = float(error[known].max()) if known.any() else np.inf
-    return ChosenWarpGrid(warp_grid, bound, 1.0 - float(known.mean()))
-
-
-def judged_pixels(warp_grid: WarpGrid) -> FloatArray:
-    """Panel positions (n, 2): in cells out to the panel's corners, and fixed pseudo-random ones."""
-    along = [np.unique(np.linspace(0, count - 2, _JUDGED_CELLS).round()) for count in warp_grid.size]
-    cells = np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 1, 2)
-    in_cells = warp_grid.first_px + warp_grid.step_px * (cells + _JUDGED_PLACES).reshape(-1, 2)
-    rng = np.random.default_rng(20250102)
-    return np.concatenate([in_cells, rng.uniform(0.5, warp_grid.panel.size_px - 0.5, (_JUDGED_PIXELS, 2))])
+    return ChosenWarpGrid(grid, bound, 1.0 - float(known.mean()))
 
 
 def warp_grid_error_arcmin(

@@ -8,9 +8,13 @@ interpolated linearly.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray
+
+_TRIANGLES = np.array([[[0, 0], [0, 1], [1, 0]], [[1, 0], [0, 1], [1, 1]]])
+"""Corners of the two triangles of a cell, as (column, row) steps from its upper left point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +63,16 @@ class WarpGrid:
         """Panel positions of all points, (rows, columns, 2)."""
         return np.stack(np.meshgrid(*self.axes_px()), axis=-1)
 
-    def interpolated(self, slope_offset: FloatArray, pixel: FloatArray) -> FloatArray:
+    def triangles(self) -> NDArray[np.uint32]:
+        """Return the two triangles of each cell, (m, 3) indices of the points, row by row; counter-clockwise."""
+        column, row = np.meshgrid(np.arange(self.columns - 1), np.arange(self.rows - 1))
+        corner = np.stack([column, row], axis=-1).reshape(-1, 1, 1, 2) + _TRIANGLES
+        return np.asarray((corner[..., 1] * self.columns + corner[..., 0]).reshape(-1, 3), np.uint32)
+
+    def interpolated(self, slope_offset: FloatArray, pixel: FloatArray, bends: bool = True) -> FloatArray:
         """Rays (n, 4) at panel positions (n, 2), as the warp interpolates the grid's rays (4, rows, columns).
+
+        Without `bends` linearly, as the triangles of a mesh.
 
         NaN in a triangle with a corner whose ray is NaN.
         """
@@ -72,14 +84,14 @@ class WarpGrid:
         weights = np.where(is_upper, upper, lower)
         mixed = np.where(is_upper, x * y, (1 - x) * (1 - y))
         shares = {"along_rows": -0.5 * x * (1 - x), "along_columns": -0.5 * y * (1 - y), "mixed": mixed}
-        differences = _second_differences(slope_offset[:2])
+        differences = _second_differences(slope_offset[:2]) if bends else {}
         rays = np.zeros((len(pixel), 4))
         for weight, (right, down) in zip(weights, ((0, 0), (1, 0), (0, 1), (1, 1)), strict=True):
             column, row = cell[:, 0] + right, cell[:, 1] + down
             counts = weight > 0
             rays[counts] += (weight * slope_offset[:, row, column]).T[counts]
-            for name, share in shares.items():
-                rays[:, :2] += (weight * share * differences[name][:, row, column]).T
+            for name, difference in differences.items():
+                rays[:, :2] += (weight * shares[name] * difference[:, row, column]).T
         return rays
 
 

@@ -21,9 +21,8 @@ from wlr_render.warp.checks import (
     checked_size,
     checked_viewpoints,
 )
-from wlr_render.warp.choose_grid import TOLERANCE_ARCMIN
+from wlr_render.warp.choose_grid import TOLERANCE_ARCMIN, choose_mesh_grid, mesh_error_arcmin, mesh_plan
 from wlr_render.warp.eye_camera import EyeCamera
-from wlr_render.warp.mesh_grid import mesh_error_arcmin, mesh_grid, mesh_plan, mesh_triangles
 from wlr_render.warp.raster_camera import EyePlan, RasterPlace
 from wlr_render.warp.ray_map import FilledRayMaps
 from wlr_render.warp.view import image_from_ray_map
@@ -82,7 +81,7 @@ class WarpMesh:
         self._plan = EyePlan.of(self._channels, self.size_px, resolution, raster_camera, margin)
         check_camera_size(self._plan)
         axes = self._plan.device_from_camera
-        grids = [mesh_grid(mappings, axes, self.size_px, _SEARCHED * tolerance) for mappings in self._channels]
+        grids = [choose_mesh_grid(mappings, axes, self.size_px, _SEARCHED * tolerance) for mappings in self._channels]
         grid = min(grids, key=lambda each: float(each.step_px.min()))
         plans = [mesh_plan(mappings, axes, grid) for mappings in self._channels]
         self._ray_maps = [FilledRayMaps(*each) for each in zip(self._channels, plans, strict=True)]
@@ -92,7 +91,7 @@ class WarpMesh:
         )
         self.samples_per_axis = self._plan.samples_per_axis
         self.panel_position = (grid.panel_pixel() / grid.panel.size_px).reshape(-1, 2).astype(np.float32)
-        self.triangles = mesh_triangles(grid)
+        self.triangles = grid.triangles()
 
     def camera(self, pose: FloatArray, viewpoint: FloatArray) -> EyeCamera:
         """Return the camera to draw the eye's picture with.
