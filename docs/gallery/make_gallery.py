@@ -25,7 +25,7 @@ MOST_BYTES = 120_000  # of a picture with all its colours
 class Run(NamedTuple):
     """One run of the program: its section's title, its words, the name of its folder, and its picture.
 
-    The picture is a file that the run writes, or the page's plots from one number on.
+    The picture is a file that the run writes, a page itself too, or the report's plots from one number on.
     """
 
     title: str
@@ -41,6 +41,7 @@ RUNS = (
         for device in ("northstar", "freeform40", "birdbath28", "prism5701202")
     ),
     Run("A calibration", "calibrate northstar", "calibrate", 1),
+    Run("A page that moves", f"export {OUT}/calibrate/model.json --format page", "page", "right-page.html"),
     Run("An error budget", f"budget {OUT}/calibrate/model.json", "budget", 2, "budget.html"),
     Run("A diagnosis", "diagnose examples/data/session", "diagnose", 3, "diagnosis.html"),
 )
@@ -60,7 +61,11 @@ def main() -> None:
         subprocess.run([sys.executable, "-m", "wlr_render", *command], check=True)
         page = folder / run.page
         verdict = json.loads(page.with_suffix(".json").read_text(encoding="utf-8"))["sentence"]
-        whole = (folder / run.picture).read_bytes() if isinstance(run.picture, str) else photographed(page, run.picture)
+        if isinstance(run.picture, int):
+            whole = photographed(page, run.picture)
+        else:
+            file = folder / run.picture
+            whole = photographed(file) if file.suffix == ".html" else file.read_bytes()
         picture = PAGE.with_suffix("") / f"{run.name}.png"
         picture.write_bytes(small(whole))
         parts += [f"## {run.title}\n", f"`./wlr {shlex.join(command)}`\n", f"{verdict}\n"]
@@ -68,8 +73,8 @@ def main() -> None:
     PAGE.write_text("\n".join(parts), encoding="utf-8")
 
 
-def photographed(page: Path, plot: int) -> bytes:
-    """Return a picture of a page as PNG, from one of its plots on."""
+def photographed(page: Path, plot: int = 0) -> bytes:
+    """Return a picture of a page as PNG, from its top or from one of its plots on."""
     with tempfile.TemporaryDirectory() as scratch:
         picture, shown = Path(scratch) / "page.png", Path(scratch) / "page.html"
         # Chromium's pictures of a scrolled page are blank; what stands before the plot is hidden instead.
@@ -77,7 +82,7 @@ def photographed(page: Path, plot: int) -> bytes:
         shown.write_text(page.read_text(encoding="utf-8") + style, encoding="utf-8")
         command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
         command += ["--hide-scrollbars", "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={scratch}/profile"]
-        command += ["--virtual-time-budget=20000", f"--window-size={PAGE_PX[0]},{PAGE_PX[1]}"]
+        command += ["--virtual-time-budget=20000000", f"--window-size={PAGE_PX[0]},{PAGE_PX[1]}"]
         subprocess.run([*command, f"--screenshot={picture}", shown.as_uri()], capture_output=True, timeout=120)
         return picture.read_bytes()
 

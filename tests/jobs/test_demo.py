@@ -31,6 +31,7 @@ def take_few_captures(patch: pytest.MonkeyPatch, positions: int) -> None:
 def fit_straight_rays(patch: pytest.MonkeyPatch) -> None:
     """Have a demo of a device without optics calibrate with few positions, and models of low degrees."""
     take_few_captures(patch, 9)
+    patch.setattr(job.Page, "write", lambda *_: iter(()))  # takes seconds; `finished` has a page
     patch.setattr(job, "calibrate", partial(calibrate, display_degree=2, see_through_degree=2))
 
 
@@ -85,7 +86,7 @@ def test_pictures_and_tables_are_written(finished: tuple[Any, Path]) -> None:
     report, folder = finished
     stems = ["naive", "static", "raster-warp", "ray-traced"]
     pictures = ["alignment", "eye-display-off", *(f"{kind}-{stem}" for kind in ("panel", "eye") for stem in stems)]
-    names = [f"{name}.png" for name in pictures] + ["report.html", "report.md", "report.json"]
+    names = [f"{name}.png" for name in pictures] + ["right-page.html", "report.html", "report.md", "report.json"]
     assert sorted(path.name for path in folder.iterdir()) == sorted(names)
     assert sorted(report.files) == sorted(folder.iterdir())
     panels = [read_png(folder / f"panel-{stem}.png") for stem in stems]
@@ -112,6 +113,7 @@ def test_the_verdict_has_the_figures_of_planar_static_and_naive(finished: tuple[
     for method in ("raster + warp", "static", "naive"):
         assert all(value in report.verdict for value in figures[method])
     assert "alignment.png" in report.advice[0]
+    assert "right-page.html" in report.advice[1]
 
 
 def test_the_plot_of_the_distribution_agrees_with_the_table(finished: tuple[Any, Path]) -> None:

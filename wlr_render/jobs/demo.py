@@ -15,6 +15,7 @@ the planar models is also predicted, from their fit and its left-out camera posi
 import contextlib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Annotated
@@ -22,6 +23,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.budget.error_map import predicted_error
 from wlr_render.budget.error_sizes import Drawing, ErrorSizes, Truncation
 from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import variance
@@ -35,6 +37,8 @@ from wlr_render.draw.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
+from wlr_render.exports.export_view import Origin, view_from_centre
+from wlr_render.exports.page import Page
 from wlr_render.geometry import directions
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.io.atomic_files import output_folder
@@ -146,6 +150,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
     frames: list[NDArray[np.uint8]] = []
     blocks: list[Block] = []
     files: list[Path] = []
+    pages: list[Path] = []
     with raster.context if raster else contextlib.nullcontext():
         for eye, truth in eyes.items():
             progress.say(f"calibrating the {eye} eye")
@@ -157,6 +162,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
             frames += seen[0].shown.values()
             own = output_folder(folder_of_eye(folder, eye, options.eye))
             files += _save_views(own, device.name, truth, renderer, seen[_PICTURED])
+            pages += _save_page(own, device.name, fit)
             errors = {method: summary(each) for method, each in _misalignments(seen).items()}
             verdicts.append(_verdict(errors, f"{scene.name} on {device.name}, {eye} eye"))
             blocks += [
@@ -177,10 +183,13 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
             *blank_warnings(blank, scene.name),
             *saturation_warnings(scene, frames),
         ],
-        advice=[f"Look at {' and '.join(str(block.path) for block in blocks if isinstance(block, Picture))}."],
+        advice=[
+            f"Look at {' and '.join(str(block.path) for block in blocks if isinstance(block, Picture))}.",
+            f"Open {' and '.join(map(str, pages))} in a browser: move the pupil, turn the head, choose the method.",
+        ],
         blocks=blocks,
         inputs=[device_path(options.device), scene_path(options.scene)],
-        files=files,
+        files=[*files, *pages],
     )
 
 
@@ -349,6 +358,14 @@ def _save_views(folder: Path, device: str, truth: Eye, renderer: RayRenderer, vi
         panoramas.append(panorama)
     heading = f"What the eye sees through {device}: the real {renderer.scene.name} and its virtual twin, in green"
     return [*written, save_picture(folder / "alignment.png", panoramas, (overview, close_up), heading)]
+
+
+def _save_page(folder: Path, device: str, fit: Calibration) -> list[Path]:
+    """Write the page that moves, of the planar models."""
+    sizes = ErrorSizes(truncation=Truncation.from_report(fit.model().report))
+    predictors = (partial(predicted_error, fit.mappings, sizes),)
+    view = view_from_centre((fit.mappings,), Origin(device, {}, {}), is_turned=True, predictors=predictors)
+    return list(Page().write([view], folder))
 
 
 def _content_tangents(truth: Eye, scene: Scene, viewpoint: FloatArray) -> FloatArray:
