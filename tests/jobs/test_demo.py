@@ -14,6 +14,7 @@ from small_headsets import changed_device
 
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.errors import BadInputError
+from wlr_render.exports.page import Page
 from wlr_render.jobs import demo as job
 from wlr_render.jobs.demo import METHODS, DemoOptions, demo, judged_viewpoints, simulated_captures
 from wlr_render.jobs.headset import open_eye
@@ -31,7 +32,7 @@ def take_few_captures(patch: pytest.MonkeyPatch, positions: int) -> None:
 def fit_straight_rays(patch: pytest.MonkeyPatch) -> None:
     """Have a demo of a device without optics calibrate with few positions, and models of low degrees."""
     take_few_captures(patch, 9)
-    patch.setattr(job.Page, "write", lambda *_: iter(()))  # takes seconds; `finished` has a page
+    patch.setattr(Page, "write", lambda *_: iter(()))  # takes seconds; `finished` has a page
     patch.setattr(job, "calibrate", partial(calibrate, display_degree=2, see_through_degree=2))
 
 
