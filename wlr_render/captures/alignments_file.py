@@ -45,9 +45,10 @@ class Alignments:
 
 
 def is_alignments(path: Path) -> bool:
-    """Return whether a file has alignments."""
+    """Return whether a file has alignments, or its `format` is that of alignments."""
     try:
-        return path.suffix.lower() == ".toml" and path.is_file() and read_toml(path).has("alignment")
+        table = read_toml(path) if path.suffix.lower() == ".toml" and path.is_file() else None
+        return table is not None and (table.has("alignment") or table.text("format", "") == FORMAT)
     except BadInputError:
         return False
 

@@ -59,6 +59,7 @@ def test_what_is_wrong_in_the_file_is_named(alignments: Path, tmp_path: Path) ->
     for old, new, sentence in (
         ('eye = "right"', 'eye = "third"', "'eye' is 'third'; it must be one of left, right"),
         ("panel_px = [140, 100]", "panel_px = [14, 10]", "of the panel pixels are outside the panel of 14 x 10"),
+        ("[[alignment]]", "[[aligned]]", r"key 'alignment' is missing \(found 'aligned' instead\)"),
         ("point_m", "point_mm", "key 'point_m' is missing"),
         ('device = "mine"', 'device = "mine"\nwearer = 3', "unknown key 'wearer'"),
     ):
