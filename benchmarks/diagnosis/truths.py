@@ -74,7 +74,8 @@ def _target_bow(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
 
 
 def _lateral_colour(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
-    return {"red": amount["scale_percent"], "blue": -amount["scale_percent"]}
+    shifts = {f"{colour}_{axis}": 0.0 for colour in ("red", "blue") for axis in "uv"}
+    return {"red": amount["scale_percent"], "blue": -amount["scale_percent"]} | shifts
 
 
 def _panel_bow(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
@@ -107,7 +108,7 @@ _CONVERSIONS: Mapping[str, Convert] = {
     "panel_shift": _same(shift_u="x_mm", shift_v="y_mm"),
     "panel_axial_shift": _same(shift="shift_mm"),
     "panel_rotation": _panel_rotation,
-    "panel_scale": _same(scale="scale_percent"),
+    "panel_scale": _same(scale_u="scale_percent", scale_v="scale_percent"),
     "substrate_index": _same(index="index"),
     "substrate_thickness": _same(thickness="thickness_mm"),
     "see_through_plate": _see_through_plate,

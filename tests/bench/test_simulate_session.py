@@ -236,7 +236,8 @@ class TestMount:
 
     def test_what_is_decoded_is_undone(self) -> None:
         mount = Mount(panel_creep=np.array([4e-5, -7e-5]))
-        readout = PanelReadout(np.array([0.5, -1.0]), np.array([0.99, 1.0, 1.02]))
+        shift = np.array([[0.3, -0.2], [0.0, 0.0], [1.1, 0.7]])
+        readout = PanelReadout(np.array([0.5, -1.0]), np.array([0.99, 1.0, 1.02]), shift)
         bench = bench_with("northstar", mount=mount, readout=readout)
         plan = display_plan(bench)
         pixel = np.random.default_rng(4).uniform(0, 1400, (ROWS, 2))
@@ -245,10 +246,11 @@ class TestMount:
     def test_colours_are_magnified_about_the_centre_and_offset_alike(self) -> None:
         bench = bench_with("no_optics")
         plan = display_plan(bench)
-        wrong = replace(bench, readout=PanelReadout(np.array([0.5, -1.0]), np.array([0.99, 1.0, 1.02])))
+        shift = np.array([[0.3, -0.2], [0.0, 0.0], [1.1, 0.7]])
+        wrong = replace(bench, readout=PanelReadout(np.array([0.5, -1.0]), np.array([0.99, 1.0, 1.02]), shift))
         scale = np.array([0.99, 1.0, 1.02])[plan.channel][:, None]
         centre = np.array([640.0, 360.0])
-        expected = centre + scale * (panel(bench, plan) - centre) + [0.5, -1.0]
+        expected = centre + scale * (panel(bench, plan) - centre) + [0.5, -1.0] + shift[plan.channel]
         np.testing.assert_allclose(panel(wrong, plan), expected, atol=1e-9)
 
     def test_each_colour_is_traced_at_its_own_wavelength(self) -> None:

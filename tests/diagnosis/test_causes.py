@@ -18,7 +18,7 @@ from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.assembly import ASSEMBLY_ERRORS, AssemblyError, assembled
-from wlr_render.optics.device import Path
+from wlr_render.optics.device import Path, mirrored
 from wlr_render.optics.device_file import load_device, save_device
 from wlr_render.optics.tracer import trace
 
@@ -29,6 +29,7 @@ NAMES = {
     "panel_axial_shift",
     "panel_rotation",
     "panel_scale",
+    "frame_bend",
     "substrate_index",
     "substrate_thickness",
     "see_through_plate",
@@ -166,11 +167,11 @@ def test_only_what_a_device_cause_names_is_moved(bench: Bench, cause: Cause, var
     device = load_device("northstar")
     both = replace(bench, device=device)
     changed = cause.perturb(both, sized(cause, 1.0), variant)
-    assert changed.device.eyes["left"] is device.eyes["left"]
+    assert (changed.device.eyes["left"] is device.eyes["left"]) != (cause.name == "frame_bend")
     assert changed.device.name == device.name
     new, old = changed.optics, both.optics
     assert new.eye_box is old.eye_box
-    assert (new.panel is old.panel) != cause.name.startswith("panel")
+    assert (new.panel is old.panel) != cause.name.startswith(("panel", "frame"))
     if cause.name.startswith("panel"):
         assert new.display is old.display
         assert new.see_through is old.see_through
@@ -179,6 +180,28 @@ def test_only_what_a_device_cause_names_is_moved(bench: Bench, cause: Cause, var
         rigid_moves = [moved[s.name] @ s.surface_from_device for s in old.surfaces()]
         assert len(rigid_moves) == 2
         np.testing.assert_allclose(rigid_moves[0], rigid_moves[1], atol=1e-15)
+
+
+def test_a_bent_frame_turns_both_eyes_as_mirror_images_and_each_as_a_whole(bench: Bench) -> None:
+    """Toe-in is symmetric, twist antisymmetric: with the twist reversed, one eye is the other's mirror image."""
+    both = replace(bench, device=load_device("northstar"))
+    bent, twisted_back = (
+        CAUSES["frame_bend"].perturb(both, np.array([0.4, twist])).device.eyes for twist in (0.2, -0.2)
+    )
+    mirror = mirrored(twisted_back["left"])
+    for one, other in zip(bent["right"].surfaces(), mirror.surfaces(), strict=True):
+        np.testing.assert_allclose(one.device_from_surface, other.device_from_surface, atol=1e-12)
+    np.testing.assert_allclose(bent["right"].panel.device_from_panel, mirror.panel.device_from_panel, atol=1e-12)
+    for side, inward in (("right", -1.0), ("left", 1.0)):
+        old, new = both.device.eyes[side], bent[side]
+        moves = [new.panel.device_from_panel @ old.panel.panel_from_device]
+        moves += [
+            b.device_from_surface @ a.surface_from_device for a, b in zip(old.surfaces(), new.surfaces(), strict=True)
+        ]
+        for move in moves:
+            np.testing.assert_allclose(move, moves[0], atol=1e-12)
+        ahead = moves[0][:3, :3] @ [0.0, 0.0, -1.0]
+        np.testing.assert_allclose(np.rad2deg(ahead[:2]), [0.4 * inward, 0.2 * -inward], atol=1e-4)
 
 
 @pytest.mark.parametrize("device", ["northstar", "birdbath28", "plane_plate"])

@@ -53,7 +53,7 @@ def test_a_cause_that_a_recording_cannot_show_has_no_limit(bench: Bench, run_tim
 def test_an_effect_of_that_size_is_five_standard_errors_when_it_is_there(
     bench: Bench, plan: SessionPlan, noisy: Observations
 ) -> None:
-    for name in ("panel_scale", "camera_focal_length", "stage_backlash"):
+    for name in ("panel_axial_shift", "camera_focal_length", "stage_backlash"):
         ((_, smallest),) = limits_of(noisy, {name: CAUSES[name]}).items()
         observations = measured(bench, plan, SIGMA_PX, seed=12, **{name: [smallest]})
         after = fitted(observations, explanation(**{name: [0.0]}))

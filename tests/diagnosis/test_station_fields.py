@@ -249,7 +249,7 @@ def test_a_displacement_is_returned_in_the_units_of_its_station(bench: Bench, pl
 def test_a_cause_keeps_its_name_where_its_effect_is_there_and_loses_it_where_another_shape_is(
     bench: Bench, plan: SessionPlan
 ) -> None:
-    true = explanation(panel_scale=[0.3])
+    true = explanation(panel_scale=[0.3, 0.3])
     right = contest(bench, plan, simulate(true.bench(bench), plan), true)
     assert right.odds_of_cause(0, "panel", right.located(2.0))[0] > 4
     # A panel that is bent looks a little as if it were larger.

@@ -190,10 +190,12 @@ class PanelReadout:
     Attributes:
         origin_px: (2,) decoded minus true position.
         channel_scale: (3,) magnification about the panel's centre in red, green and blue.
+        channel_shift_px: (3, 2) shift of the picture in red, green and blue.
     """
 
     origin_px: Annotated[FloatArray, _number(shape=(2,))] = field(default_factory=_ZERO_2)
     channel_scale: Annotated[FloatArray, _positive(shape=(3,))] = field(default_factory=partial(np.ones, 3))
+    channel_shift_px: Annotated[FloatArray, _number(shape=(3, 2))] = field(default_factory=partial(np.zeros, (3, 2)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -138,8 +138,8 @@ def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
 
 def decoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
     """Return the decoded positions (n, 2) of light that leaves the cold panel at pixels (n, 2)."""
-    centre, scale = _readout(bench, plan)
-    shown = centre + scale * (pixel - _creep_px(bench, plan) - centre) + bench.readout.origin_px
+    centre, scale, origin = _readout(bench, plan)
+    shown = centre + scale * (pixel - _creep_px(bench, plan) - centre) + origin
     shift = _total(_panel_shift(bench, plan)(shown), _drift(bench, plan))
     return shown if shift is None else np.asarray(shown + shift)
 
@@ -169,15 +169,17 @@ def _total(*displacements: FloatArray | None) -> FloatArray | None:
 
 def undecoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
     """Return the inverse of `decoded`."""
-    centre, scale = _readout(bench, plan)
+    centre, scale, origin = _readout(bench, plan)
     drift = _drift(bench, plan)
     pixel = before_shift(pixel if drift is None else pixel - drift, _panel_shift(bench, plan))
-    return np.asarray(centre + (pixel - bench.readout.origin_px - centre) / scale + _creep_px(bench, plan))
+    return np.asarray(centre + (pixel - origin - centre) / scale + _creep_px(bench, plan))
 
 
-def _readout(bench: Bench, plan: DisplayPlan) -> tuple[FloatArray, FloatArray]:
-    """Return the panel's centre (2,) and the magnification about it for each row (n, 1)."""
-    return 0.5 * bench.optics.panel.pixels.size_px, bench.readout.channel_scale[plan.channel][:, None]
+def _readout(bench: Bench, plan: DisplayPlan) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the panel's centre (2,), and for each row the magnification about it (n, 1) and the shift (n, 2)."""
+    readout = bench.readout
+    shift = readout.origin_px + readout.channel_shift_px[plan.channel]
+    return 0.5 * bench.optics.panel.pixels.size_px, readout.channel_scale[plan.channel][:, None], shift
 
 
 def _creep_px(bench: Bench, plan: DisplayPlan) -> FloatArray:

@@ -89,6 +89,13 @@ def panel_turned(optics: EyeOptics, rotation_deg: FloatArray) -> EyeOptics:
     return _panel_moved(optics, rigid(rotations_of_vectors(np.deg2rad(rotation_deg)), np.zeros(3)))
 
 
+def as_a_whole(optics: EyeOptics, moved_from_device: FloatArray) -> EyeOptics:
+    """Return the optics with all surfaces and the panel moved together by a rigid transform (4, 4); not the eye box."""
+    panel = optics.panel
+    moved = replace(panel, device_from_panel=moved_from_device @ panel.device_from_panel)
+    return replace(_surfaces_moved(optics, moved_from_device), panel=moved)
+
+
 def _surfaces_moved(optics: EyeOptics, moved_from_device: FloatArray) -> EyeOptics:
     return optics.with_surfaces(lambda s: replace(s, device_from_surface=moved_from_device @ s.device_from_surface))
 

@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from wlr_render.bench.bench import Bench
+from wlr_render.bench.bench import Bench, PanelReadout
 from wlr_render.diagnosis.cause import Cause, Parameter, Perturb, Role, changed
-from wlr_render.geometry.transforms import rigid, rotation_about
+from wlr_render.geometry.transforms import rigid, rotation_about, rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics import assembly
 from wlr_render.optics.combiner_form import SURFACES, outward, surfaces_raised
@@ -65,8 +65,22 @@ def _sizes(error: assembly.AssemblyError, names: Sequence[str], first: int = 0) 
 
 
 def _panel_scaled(optics: EyeOptics, scale_percent: FloatArray) -> EyeOptics:
-    size = optics.panel.size * (1.0 + 1e-2 * float(scale_percent[0]))
-    return replace(optics, panel=replace(optics.panel, size=size))
+    return replace(optics, panel=replace(optics.panel, size=optics.panel.size * (1.0 + 1e-2 * scale_percent)))
+
+
+def _frame_bent(bench: Bench, deg: FloatArray) -> Bench:
+    """Turn the optics of both eyes as a frame does that bends between them: each eye as the other's mirror image.
+
+    The right eye turns to the nose and up, the left eye to the nose and down, about the middle between them.
+    """
+    toe_in, twist = np.deg2rad(deg)
+    pivot = bench.optics.eye_box.centre * [0.0, 1.0, 1.0]
+    eyes = {}
+    for side, optics in bench.device.eyes.items():
+        sign = 1.0 if side == "right" else -1.0
+        rotation = rotations_of_vectors(sign * np.array([twist, toe_in, 0.0]))
+        eyes[side] = assembly.as_a_whole(optics, rigid(rotation, pivot - rotation @ pivot))
+    return replace(bench, device=replace(bench.device, eyes=eyes))
 
 
 def _index_shifted(optics: EyeOptics, index: FloatArray) -> EyeOptics:
@@ -132,9 +146,15 @@ def _tilt(tilt_deg: FloatArray) -> FloatArray:
     return rotation_about("x", np.deg2rad(tilt_deg[0])) @ rotation_about("y", np.deg2rad(tilt_deg[1]))
 
 
-def _colours_magnified(channel_scale: FloatArray, scale_percent: FloatArray) -> FloatArray:
-    red, blue = 1e-2 * scale_percent
-    return channel_scale * (1.0 + np.array([red, 0.0, blue]))
+def _colours_apart(readout: PanelReadout, values: FloatArray) -> PanelReadout:
+    """Magnify and shift red and blue against green: percent of red and of blue, then pixels of red and of blue."""
+    red, blue = 1e-2 * values[:2]
+    shift = np.insert(values[2:].reshape(2, 2), 1, 0.0, axis=0)
+    return PanelReadout(
+        readout.origin_px,
+        readout.channel_scale * (1.0 + np.array([red, 0.0, blue])),
+        readout.channel_shift_px + shift,
+    )
 
 
 OPTICS = (
@@ -192,11 +212,24 @@ OPTICS = (
         "panel_scale",
         "panel larger than stated",
         "device",
-        (Parameter("scale", "%", 0.3),),
-        source="rounding of a pixel pitch in a data sheet, a few parts in a thousand; heat is ten times less",
+        (Parameter("scale_u", "%", 0.3), Parameter("scale_v", "%", 0.3)),
+        source="rounding of a pixel pitch in a data sheet, a few parts in a thousand; heat is ten times less. Focal "
+        "lengths along u and v of factory calibrations differ by 0.1 to 1.1 %",
         separated_by="a photograph of the bare panel with a ruler",
         variants={"about its centre": of_optics(_panel_scaled)},
         own_station="panel",
+    ),
+    Cause(
+        "frame_bend",
+        "frame bent between the eyes",
+        "device",
+        (Parameter("toe_in", "deg", 0.3), Parameter("twist", "deg", 0.3)),
+        source="factory calibrations of two glasses: displays turned to each other by 52 and 74 arcmin, up and down by "
+        "0 and 26; that they bend by half as much in wear is our estimate",
+        separated_by="a session of the other eye, which turns the other way; what it sees of a distant target through "
+        "its display against the first eye's",
+        variants={"both eyes, as mirror images": _frame_bent},
+        remedy="measure both eyes again with the headset held as it is worn, or use the corrected headset",
     ),
     Cause(
         "substrate_index",
@@ -248,10 +281,16 @@ READOUT = (
         "lateral_colour",
         "lateral colour",
         "device",
-        (Parameter("red", "%", 0.3), Parameter("blue", "%", 0.3)),
-        source="2.4 arcmin at 14 deg in a see-through headset, 20 arcmin at 44 deg in a lens of virtual reality",
+        (
+            *(Parameter(colour, "%", 0.3) for colour in ("red", "blue")),
+            *(Parameter(f"{colour}_{axis}", "px", 2.0) for colour in ("red", "blue") for axis in "uv"),
+        ),
+        source="2.4 arcmin at 14 deg in a see-through headset, 20 arcmin at 44 deg in a lens of virtual reality; "
+        "centres of red and blue 1 to 4 px from green's in factory calibrations of three headsets",
         separated_by="captures in all three colours from the same positions",
-        variants={"about the panel's centre": changed("readout", "channel_scale", _colours_magnified)},
+        variants={
+            "about the panel's centre": lambda bench, v: replace(bench, readout=_colours_apart(bench.readout, v))
+        },
         own_station="panel",
     ),
     Cause(
