@@ -105,6 +105,7 @@ def _headset_slip(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
 _CONVERSIONS: Mapping[str, Convert] = {
     "combiner_tilt": _vector("tilt", "deg"),
     "combiner_shift": _vector("shift", "mm"),
+    "frame_bend": _same(toe_in="toe_in_deg", twist="twist_deg"),
     "panel_shift": _same(shift_u="x_mm", shift_v="y_mm"),
     "panel_axial_shift": _same(shift="shift_mm"),
     "panel_rotation": _panel_rotation,

@@ -27,6 +27,19 @@ def _combiner_shift(world: World, amount: Amount) -> World:
     return replace(world, device=world.device.with_surfaces(lambda s: replace(s, origin=s.origin + shift)))
 
 
+def _frame_bend(world: World, amount: Amount) -> World:
+    """The optics of the right eye turn about the middle between the eyes; y of the oracle points down."""
+    turned = turn(np.radians([amount["twist_deg"], -amount["toe_in_deg"], 0.0]))
+    pivot, panel = world.device.eye * [0.0, 1.0, 1.0], world.device.panel
+
+    def moved(place: FloatArray) -> FloatArray:
+        return np.asarray(pivot + turned @ (place - pivot))
+
+    bent = world.device.with_surfaces(lambda s: replace(s, axes=turned @ s.axes, origin=moved(s.origin)))
+    whole = replace(panel, axes=turned @ panel.axes, centre=moved(panel.centre))
+    return replace(world, device=replace(bent, panel=whole))
+
+
 def _with_panel(world: World, panel: Panel) -> World:
     return replace(world, device=replace(world.device, panel=panel))
 
@@ -107,6 +120,11 @@ DEVICE_EFFECTS = {
         _combiner_tilt,
     ),
     "combiner_shift": Recipe("all surfaces move", (Draw(xyz("mm"), 0.05, 1.0),), _combiner_shift),
+    "frame_bend": Recipe(
+        "optics and panel turn as a whole about the middle between the eyes: to the nose, and up",
+        (Draw(("toe_in_deg", "twist_deg"), 0.05, 0.3),),
+        _frame_bend,
+    ),
     "panel_shift": Recipe("the panel moves along its u and v axes", (Draw(_XY_MM, 0.05, 0.5),), _panel_shift),
     "panel_axial_shift": Recipe(
         "the panel moves along u x v, its normal", (Draw(("shift_mm",), 0.05, 0.5),), _panel_axial_shift
