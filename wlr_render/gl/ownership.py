@@ -114,8 +114,8 @@ class OwnContext:
         """
         if not self._in_use.acquire(timeout=_WAIT_S):
             raise BadInputError(
-                "Another thread is drawing in this OpenGL context and does not end: use a compositor or renderer from "
-                "one thread at a time."
+                f"Another thread has drawn in this OpenGL context for {_WAIT_S:g} s: end its call, or its block of "
+                "`context.drawing()`."
             )
         with contextlib.ExitStack() as at_end:
             at_end.callback(self._in_use.release)

@@ -90,7 +90,7 @@ class BudgetOptions(Options):
     without_cornea: Annotated[
         bool,
         described(
-            "Leave out the shift of the entrance pupil by the cornea, which frames for one viewpoint do not have.",
+            "Leave out that the cornea moves the pupil for light beside the gaze; frames are drawn for one pupil.",
             flag=True,
             group=_DRAWING,
         ),

@@ -9,10 +9,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from wlr_render.geometry.pose_prediction import LONGEST_S
 from wlr_render.warp.checks import checked_number
 
 _REMEMBERED = 16
-"""Frames whose durations are planned with; the longest of them counts."""
+"""Frames whose durations are planned with; the second longest counts, so that a single hitch does not."""
 _GAIN = 0.1
 """Share of the difference to a reported beat by which the beats are moved: jitter averages out over ten."""
 
@@ -31,15 +32,15 @@ class FrameTimes:
 
     @property
     def ahead_s(self) -> float:
-        """Time from the beginning to the display: `predict_s` of `Compositor.begin_frame`."""
-        return self.display_s - self.begin_s
+        """Time from the beginning to the display: `predict_s` of `Compositor.begin_frame`, so 0.1 s at most."""
+        return min(self.display_s - self.begin_s, LONGEST_S)
 
 
 class FramePacer:
     """Plans frames for a display that shows pictures at regular beats; one thread may use it at a time.
 
-    A program that cannot keep the beat is paced at every second beat, or third: let another thread compose at each
-    (docs/realtime.md). A runtime of OpenXR paces its programs in xrWaitFrame.
+    A program that cannot keep the beat is paced at every second beat, or third: let another thread compose at each,
+    and hand the times of its scan-outs to the thread of the pacer (docs/realtime.md). A runtime of OpenXR paces its programs in xrWaitFrame.
     """
 
     def __init__(self, period_s: float, margin_s: float = 1e-3, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -72,7 +73,7 @@ class FramePacer:
 
         Sleep until its `begin_s`, call `finished` when its pictures are submitted.
         """
-        needed_s, now_s = max(self._durations_s) + self._margin_s, self._clock()
+        needed_s, now_s = sorted(self._durations_s)[-2:][0] + self._margin_s, self._clock()
         earliest_s = now_s + needed_s
         if self._frame is not None:
             earliest_s = max(earliest_s, self._frame.display_s + self._period_s / 2)
