@@ -59,7 +59,11 @@ def test_all_state_is_found_again_after_each_kind_of_block(caller: Caller) -> No
     assert_same(caller.state(), before)
     with context.drawing(), context.host():  # as for a framebuffer's number, or the window
         caller.gl("glBindFramebuffer", 0x8D40, 0)
-        assert not caller.gl("glIsEnabled", 0x0C11)
+        assert not caller.gl("glIsEnabled", 0x0C11)  # GL_SCISSOR_TEST
+        assert not caller.gl("glIsEnabled", 0x8DB9)  # GL_FRAMEBUFFER_SRGB
+        with context.drawing() as ctx:
+            assert ctx.error == "GL_NO_ERROR"
+            assert not caller.gl("glIsEnabled", 0x0BE2)  # ours: blending is on in the host
     assert_same(caller.state(), before)
     context.release()
     assert_same(caller.state(), before)

@@ -2,6 +2,7 @@
 
 import ctypes
 import threading
+import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -142,6 +143,52 @@ def test_where_the_context_is_not_current_only_a_clean_hosts_work_stops(
     assert (difference > 1).mean() < 0.002
     make_current(caller.ctx)
     third.release()
+
+
+def let_go(context: moderngl.Context) -> None:
+    leave: Callable[..., object] = context.__exit__  # without types in ModernGL's stubs
+    leave(None, None, None)
+
+
+def test_a_thread_without_a_chosen_api_makes_a_compositor(caller: Caller, flat_image_headset: Eye) -> None:
+    """EGL's threads begin with OpenGL ES."""
+    made: list[Any] = []
+
+    def make() -> None:
+        make_current(caller.ctx)
+        with Compositor(flat_image_headset, SMALL, context="current") as compositor:
+            made.append(compositor.renderer)
+        let_go(caller.ctx)
+
+    let_go(caller.ctx)
+    thread = threading.Thread(target=make)
+    thread.start()
+    thread.join()
+    make_current(caller.ctx)
+    assert made
+
+
+def test_a_compositor_that_another_thread_uses_is_released_after_its_call(
+    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
+    before = caller.objects()
+    made = compositor(flat_image_headset, context=caller.ctx)
+    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    inside, told = threading.Event(), []
+
+    def work() -> None:
+        with made.context.drawing():
+            inside.set()
+            time.sleep(0.2)
+            told.append(made.compose().read().std() > 5)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    inside.wait()
+    made.release()
+    thread.join()
+    assert told == [True]
+    assert caller.objects() == before
 
 
 def test_another_thread_composes_while_the_host_draws_on_its_own(

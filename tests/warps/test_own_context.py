@@ -134,6 +134,35 @@ def test_a_thread_that_does_not_end_its_block_is_told_in_a_sentence(
     assert (grey_frame(made, flat_image_headset) == 128).all()
 
 
+def test_a_thread_reads_its_own_frames_or_is_told(
+    gl_context: GlContext, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
+    """While another thread composes for another pose."""
+    made = compositor(flat_image_headset, context=gl_context.backend)
+    source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
+    for camera in made.begin_frame(HEAD, seen).values():
+        source.submit(camera)
+    aside = HEAD.copy()
+    aside[:3, 3] += [0.02, 0.0, 0.0]
+    expected, others = made.compose(pose=aside).read(), made.compose().read()
+    assert (expected != others).mean() > 0.05
+    ended, told = threading.Event(), list[str]()
+    thread = threading.Thread(target=lambda: [made.compose() for _ in iter(ended.is_set, True)])
+    thread.start()
+    try:
+        for _ in range(60):
+            frame = made.compose(pose=aside)
+            try:
+                np.testing.assert_array_equal(frame.read(), expected)
+            except BadInputError as error:
+                told.append(str(error))
+    finally:
+        ended.set()
+        thread.join()
+    assert len(told) < 60
+    assert all("a later compose has overwritten this picture" in each for each in told)
+
+
 def test_a_context_held_by_another_thread_is_refused_in_a_sentence(
     engine: Engine, compositor: Callable[..., Any], flat_image_headset: Eye
 ) -> None:

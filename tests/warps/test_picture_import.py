@@ -211,6 +211,20 @@ def test_textures_are_read_in_place(compositor: Callable[..., Compositor]) -> No
     assert len(np.unique(shown[0].reshape(-1, 3), axis=0)) > 1
 
 
+def test_a_swizzle_or_a_base_level_does_not_change_a_picture(gl_context: GlContext, take: PictureImport) -> None:
+    colours = np.random.default_rng(0).integers(0, 256, (SIZE[1], SIZE[0], 4), np.uint8)
+    with gl_context.drawing() as ctx:
+        plain, swizzled, levels = (ctx.texture(SIZE, 4, colours) for _ in range(3))
+        depth = ctx.texture(SIZE, 1, np.ones(SIZE[::-1], np.float32), dtype="f4")
+        swizzled.swizzle = "BGRA"
+        levels.build_mipmaps()
+        levels.use(0)
+        gl_context.function("glTexParameteri", *[ctypes.c_uint] * 3)(0x0DE1, 0x813C, 1)  # GL_TEXTURE_BASE_LEVEL
+    for given in (plain, swizzled, levels):
+        taken = take.from_textures(CAMERA, given, depth, METRES).read()
+        np.testing.assert_array_equal(taken.colour, colours[::-1, :, :3])
+
+
 def test_a_framebuffer_of_several_samples_is_resolved(gl_context: GlContext, take: PictureImport) -> None:
     assert_halves(take.from_framebuffer(CAMERA, framebuffer(gl_context, samples=4), WINDOW).read())
 
@@ -257,13 +271,14 @@ def test_bad_framebuffers_are_refused_in_a_sentence(gl_context: GlContext, take:
 def test_bad_textures_are_refused_in_a_sentence(gl_context: GlContext, take: PictureImport, drawn: GpuImage) -> None:
     with gl_context.drawing() as ctx:
         small, numbers = ctx.texture((3, 4), 4), ctx.texture(SIZE, 4, dtype="u1")
-        gone = ctx.texture(SIZE, 4)
+        gone, cube = ctx.texture(SIZE, 4), ctx.texture_cube(SIZE[:1] * 2, 4)
         gone.release()
     for bad, told in (
         (gone, "has been released"),
         (small, r"texture \d+ has 3x4 pixels, the camera 64x48"),
         (numbers, "holds whole numbers for colours: use RGBA8"),
         (drawn.inverse_depth, "holds no red, green and blue for colours: use RGBA8"),
+        (int(cube.glo), r"texture \d+ is a cube map, a buffer or a row; give a 2D"),
     ):
         with pytest.raises(BadInputError, match=told):
             take.from_textures(CAMERA, bad, drawn.inverse_depth, INVERSE)

@@ -1,7 +1,8 @@
 """Pictures in layers, mip levels and samples of textures, by ModernGL's objects or OpenGL's names."""
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -13,6 +14,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.gl import gl
 from wlr_render.gl.context import GlContext
 from wlr_render.gl.framebuffers import TextureLayer
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import Float32Array
 from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.picture_import import PictureImport
@@ -173,6 +175,26 @@ def test_floats_keep_more_than_bytes(gl_context: GlContext, take: PictureImport)
         taken = take.take(CAMERA, given, depth, INVERSE, stored_colour=StoredColour("linear"))
         with gl_context.drawing():
             np.testing.assert_array_equal(gl.read(taken.colour, np.float16)[..., :3], light[..., :3])
+
+
+def test_a_texture_that_died_is_told_and_the_last_picture_stays(
+    gl_context: GlContext, compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
+    made = compositor(flat_image_headset)
+    seen = flat_image_headset.eye_box.centre
+    (camera,) = made.begin_frame(np.eye(4), seen).values()
+    with gl_context.drawing() as ctx:
+        colour = ctx.texture(camera.size_px, 4, np.full((*camera.size_px[::-1], 4), 70, np.uint8))
+        depth = ctx.texture(camera.size_px, 1, np.ones(camera.size_px[::-1], np.float32), dtype="f4")
+    layers = TextureLayer(colour.glo), TextureLayer(depth.glo)
+    made.submit(*layers)
+    assert (made.compose().read() == 70).all()
+    made.begin_frame(np.eye(4), seen)
+    with gl_context.drawing():
+        colour.release()
+    with pytest.raises(BadInputError, match=r"texture \d+ has been deleted; make a TextureLayer of another one"):
+        made.submit(*layers)
+    assert (made.compose().read() == 70).all()
 
 
 def test_bad_layers_are_refused_in_a_sentence(gl_context: GlContext, take: PictureImport) -> None:

@@ -187,6 +187,7 @@ class _Loader:
         self._context, self._levels = context, MipLevels(context)
         self._loaded: set[Any] = set()
         self._in_context = self._in_contexts.setdefault(context, weakref.WeakSet())
+        context.tracked(self)
 
     def __call__(self, graph: Any) -> None:
         primitives = {primitive for mesh in graph.meshes for primitive in mesh.primitives}
@@ -209,6 +210,12 @@ class _Loader:
             if texture.source is not None and texture.tex_type == _TEXTURE_2D:
                 self._refill(texture, texture in in_codes)
         self._loaded = (self._loaded & wanted) | missing
+
+    def release(self) -> None:
+        """Delete the meshes and textures: a host that shares textures with the context would keep their memory."""
+        for thing in self._loaded:
+            thing.delete()
+        self._loaded = set()
 
     def _refill(self, texture: Any, holds_codes: bool) -> None:
         """Replace the mip levels that the driver made by means over all texels."""

@@ -134,9 +134,9 @@ class GlContext:
 
     @contextlib.contextmanager
     def _block(self, third_party: bool, is_public: bool) -> Iterator[moderngl.Context]:
-        if self._released:
-            raise BadInputError("the OpenGL context has been released with all its pictures; read them before release.")
+        self._check_alive()
         with self._owner.entered():
+            self._check_alive()  # another thread may have released it meanwhile
             outermost = not self._depth
             if outermost and self._is_disturbed and not self.host_is_clean:
                 self._ctx.enable_only(moderngl.NOTHING)
@@ -161,13 +161,18 @@ class GlContext:
                     pending = "; or the host had it pending before" if self.host_is_clean else ""
                     raise GlError(f"OpenGL reports {error_name(error)} ({self.renderer}){pending}.")
 
+    def _check_alive(self) -> None:
+        if self._released:
+            raise BadInputError("the OpenGL context has been released with all its pictures; read them before release.")
+
     def _switch_off(self) -> None:
         if self._switched:
             self._ctx.enable_only(moderngl.NOTHING)
             self._ctx.depth_func = "<"
             self._switched = False
 
-    def host(self) -> contextlib.AbstractContextManager[None]:
+    @contextlib.contextmanager
+    def host(self) -> Iterator[None]:
         """Return a block, in a drawing block, for the framebuffers of the program whose context was adopted.
 
         Framebuffers are not shared between contexts. What the block binds is restored; see `ContextOwner.host`.
@@ -175,7 +180,13 @@ class GlContext:
         Raises:
             BadInputError: the adopted context was not current on this thread before the drawing block.
         """
-        return self._owner.host()
+        depth = self._depth
+        with self._owner.host():
+            self._depth = 0  # a block within makes this context current again
+            try:
+                yield
+            finally:
+                self._depth = depth
 
     def function(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
         """Look up an OpenGL function that ModernGL hides, with `ctypes` types; call it in a drawing block."""
@@ -318,14 +329,6 @@ class GlContext:
         """True if `plain_sampler` can read the codes of sRGB formats; otherwise OpenGL decodes them all the same."""
         return "GL_EXT_texture_sRGB_decode" in self._ctx.extensions
 
-    def has_srgb_format(self, texture: Texture) -> bool:
-        """Return whether OpenGL decodes a texture's sRGB codes when it is sampled; call it in a drawing block."""
-        texture.use(self.texture_unit)
-        found = ctypes.c_int()
-        query = self.function("glGetTexLevelParameteriv", ctypes.c_uint, ctypes.c_int, ctypes.c_uint, ctypes.c_void_p)
-        query(_TEXTURE_2D, 0, _INTERNAL_FORMAT, ctypes.addressof(found))
-        return found.value in (_SRGB8, SRGB8_ALPHA8)
-
     def depth_target(self, size: tuple[int, int]) -> Texture:
         """Return an empty depth texture of (width, height), 24 bits, read as plain values."""
         texture = self.tracked(self._ctx.depth_texture(size))
@@ -377,15 +380,15 @@ class GlContext:
         caller_is_gone = self._caller is not None and isinstance(self._caller.mglo, moderngl.InvalidObject)
         is_gone = self.host_is_clean and caller_is_gone and not self._current.is_current()
         if not self._released and (is_gone or self._freed()):
+            self._released = True
             self._programs.clear()
             self._compute_programs.clear()
             self._no_vertices.clear()
-            self._released = True
         return self._released
 
     def _freed(self) -> bool:
         try:
-            return self._owner.release(list(self._objects))
+            return self._owner.release(self._objects)
         except GlError:
             return True  # the context is lost with all its objects
 

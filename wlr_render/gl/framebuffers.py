@@ -8,7 +8,7 @@ import contextlib
 import ctypes
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any, Generic, TypeVar
@@ -150,6 +150,10 @@ class FramebufferQueries:
             self._functions[name] = self._context.function(name, *argument_types, result=result)
         return self._functions[name]
 
+    def is_texture(self, number: int) -> bool:
+        """Return whether a number names a texture."""
+        return 0 < number < 1 << 32 and bool(self.gl("glIsTexture", _UINT, result=ctypes.c_ubyte)(number))
+
     def part_of(self, layer: TextureLayer) -> "tuple[Image, tuple[int, int], tuple[int, int]]":
         """Return the image of a layer of a texture, and the size and first pixel of the picture in it.
 
@@ -157,11 +161,17 @@ class FramebufferQueries:
             BadInputError: the texture, layer, level or rectangle does not exist.
         """
         image = Image(layer.name, False, layer.level, layer.layer)
-        if not (0 < image.name < 1 << 32 and self.gl("glIsTexture", _UINT, result=ctypes.c_ubyte)(image.name)):
+        if not self.is_texture(image.name):
             raise BadInputError(f"number {image.name} is not a texture of the OpenGL context; give one that is.")
         self._check_layer(image)
         self._context.take_error()
-        first_px, size = layer.rect_in(self.size(image))
+        whole = self.size(image)
+        if not all(whole):
+            raise BadInputError(
+                f"texture {image.name} is a cube map, a buffer or a row; give a 2D, array, 3D, rectangle or "
+                "multisampled texture."
+            )
+        first_px, size = layer.rect_in(whole)
         return image, size, first_px
 
     def bind(self, number: int, target: int = BOTH) -> None:
@@ -217,11 +227,15 @@ class FramebufferQueries:
         level, layer, face = (self._of_attachment(point, enum) for enum in (_LEVEL, _LAYER, _FACE))
         return Image(name, False, level, layer, face)
 
-    def made(self) -> int:
-        """Return a new framebuffer object of the context that is current."""
+    @contextlib.contextmanager
+    def made(self) -> Iterator[int]:
+        """Make a framebuffer object of the context that is current, for a block."""
         name = _UINT()
         self.gl("glGenFramebuffers", _INT, ctypes.c_void_p)(1, ctypes.addressof(name))
-        return name.value
+        try:
+            yield name.value
+        finally:
+            self.gl("glDeleteFramebuffers", _INT, ctypes.c_void_p)(1, ctypes.addressof(name))
 
     def copy(self, first_px: tuple[int, int], size: tuple[int, int], buffers: int) -> None:
         """Copy pixels from the framebuffer bound to READ to the lower left corner of the one bound to DRAW."""

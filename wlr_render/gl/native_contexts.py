@@ -10,6 +10,7 @@ _MAJOR_VERSION, _MINOR_VERSION = 0x821B, 0x821C
 _INT, _POINTER = ctypes.c_int, ctypes.c_void_p
 _EGL_DRAW, _EGL_READ, _EGL_CONFIG_ID, _EGL_NONE = 0x3059, 0x305A, 0x3028, 0x3038
 _EGL_MAJOR, _EGL_MINOR, _EGL_PROFILE, _EGL_CORE = 0x3098, 0x30FB, 0x30FD, 1
+_EGL_OPENGL = 0x30A2
 _EGL_LOST_AT_RESET = 0x31BD, 0x31BF  # the notification strategy of robust contexts
 _GLX_CONFIG_ID, _GLX_SCREEN = 0x8013, 0x800C
 _GLX_MAJOR, _GLX_MINOR, _GLX_PROFILE, _GLX_CORE = 0x2091, 0x2092, 0x9126, 1
@@ -162,7 +163,7 @@ class EglBinding:
         if number.value:  # 0: of no configuration, and neither is ours
             wanted = _numbers(_EGL_CONFIG_ID, number.value, _EGL_NONE)
             find(display, wanted, ctypes.addressof(config), 1, ctypes.addressof(count))
-        create = _function(self._library, "eglCreateContext", *[_POINTER] * 4)
+        create = self._creating_opengl(_function(self._library, "eglCreateContext", *[_POINTER] * 4))
         version = _EGL_MAJOR, 4, _EGL_MINOR, 1, _EGL_PROFILE, _EGL_CORE
         # Contexts that share must agree on the effect of a reset of the GPU.
         ours = create(display, config, host, _numbers(*version, _EGL_NONE)) or create(
@@ -175,6 +176,21 @@ class EglBinding:
         return NativeContext(
             load, lambda: self._make_current(display, None, None, ours), lambda: destroy(display, ours)
         )
+
+    def _creating_opengl(self, create: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that creates contexts of OpenGL: threads begin with OpenGL ES."""
+        choose = _function(self._library, "eglBindAPI", ctypes.c_uint, result=ctypes.c_uint)
+        chosen = _function(self._library, "eglQueryAPI", result=ctypes.c_uint)
+
+        def created(*arguments: Any) -> Any:
+            before = chosen()
+            choose(_EGL_OPENGL)
+            try:
+                return create(*arguments)
+            finally:
+                choose(before)
+
+        return created
 
     def makes_current(self, make_current: Callable[[], object], current: CurrentContext) -> bool:
         """Return whether a function makes the given context current; then restore the context that was current."""
@@ -222,18 +238,37 @@ class GlxBinding:
         load = _function(self._library, "glXGetProcAddressARB", ctypes.c_char_p)
         address = load(b"glXCreateContextAttribsARB")
         ours = None
+        restore_errors = _without_x_errors(display)
         for config in (_POINTER * count.value).from_address(first) if first and address else ():
             attribute(display, config, _GLX_CONFIG_ID, ctypes.addressof(found))
             if not ours and found.value == number.value:
                 create = ctypes.CFUNCTYPE(_POINTER, _POINTER, _POINTER, _POINTER, _INT, _POINTER)(address)
                 version = _GLX_MAJOR, 4, _GLX_MINOR, 1, _GLX_PROFILE, _GLX_CORE
                 ours = create(display, config, host, 1, _numbers(*version, 0))
+        restore_errors()
         if not ours:
             raise OSError("GLX refuses an OpenGL 4.1 context that shares with the one that is current")
         destroy = _function(self._library, "glXDestroyContext", _POINTER, _POINTER)
         return NativeContext(
             load, lambda: self._make_current(display, None, None, ours), lambda: destroy(display, ours)
         )
+
+
+def _without_x_errors(display: int | None) -> Callable[[], None]:
+    """Ignore errors of X, which end a program, until the returned function is called."""
+    x11 = ctypes.CDLL(ctypes.util.find_library("X11") or "libX11.so.6")
+    handle = _function(x11, "XSetErrorHandler", _POINTER)
+    wait = _function(x11, "XSync", _POINTER, _INT, result=_INT)
+    ignore = ctypes.CFUNCTYPE(_INT, _POINTER, _POINTER)(lambda display, error: 0)
+    before = handle(ctypes.cast(ignore, _POINTER))
+
+    def restore() -> None:
+        wait(display, 0)  # errors come with a delay
+        handle(before)
+        del ignore_until_now[:]
+
+    ignore_until_now = [ignore]
+    return restore
 
 
 class OsMesaBinding:

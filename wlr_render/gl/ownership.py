@@ -4,11 +4,9 @@ import contextlib
 import ctypes
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary
-
-import moderngl
 
 from wlr_render.errors import BadInputError, stacklevel_of_caller
 from wlr_render.gl.native_contexts import CurrentContext, EglBinding
@@ -16,7 +14,7 @@ from wlr_render.gl.native_contexts import CurrentContext, EglBinding
 _UINT, _INT, _POINTER = ctypes.c_uint, ctypes.c_int, ctypes.c_void_p
 _READ, _DRAW = 0x8CA8, 0x8CA9  # GL_READ_FRAMEBUFFER, GL_DRAW_FRAMEBUFFER
 _BINDINGS = {_READ: 0x8CAA, _DRAW: 0x8CA6}
-_SWITCHES = 0x0C11, 0x8DB9  # GL_SCISSOR_TEST, GL_FRAMEBUFFER_SRGB: all else leaves copies of framebuffers alone
+_SWITCHES = 0x0C11, 0x8DB9  # GL_SCISSOR_TEST, GL_FRAMEBUFFER_SRGB, which change copies of framebuffers
 _COMMANDS_COMPLETE, _NO_TIMEOUT = 0x9117, 0xFFFFFFFFFFFFFFFF
 _WAIT_S = 10.0
 """How long a call waits for the call of another thread."""
@@ -40,7 +38,7 @@ class ContextOwner(Protocol):
     def is_same_as(self, context: Any) -> bool:
         """Return whether another ModernGL context wraps the host's native context."""
 
-    def release(self, objects: list[Any]) -> bool:
+    def release(self, objects: Collection[Any]) -> bool:
         """Destroy the given ModernGL objects and all garbage-collected ones; return whether that was possible."""
 
 
@@ -80,9 +78,10 @@ class Host:
         """Return as `ContextOwner`, by making the other context current once; always False without EGL."""
         if self._current.platform != "egl":
             return False
-        if context not in self._same:
-            self._same[context] = EglBinding().makes_current(context.__enter__, self._current)
-        return self._same[context]
+        # Another thread may have it current, so that a failed switch tells nothing for the next time.
+        if context not in self._same and EglBinding().makes_current(context.__enter__, self._current):
+            self._same[context] = True
+        return context in self._same
 
 
 class OwnContext:
@@ -112,17 +111,12 @@ class OwnContext:
         Raises:
             BadInputError: another thread stays inside a block, or the context cannot be made current.
         """
-        if not self._in_use.acquire(timeout=_WAIT_S):
-            raise BadInputError(
-                f"Another thread has drawn in this OpenGL context for {_WAIT_S:g} s: end its call, or its block of "
-                "`context.drawing()`."
-            )
         with contextlib.ExitStack() as at_end:
-            at_end.callback(self._in_use.release)
+            at_end.enter_context(self._waited_for())
             if not self._current.is_current():
                 is_host = self._host is not None and self._host.is_current()
                 restore = self._save()
-                at_end.callback(self._leave, restore, is_host)
+                at_end.callback(self._leave, restore, is_host, self._restore)
                 self._after_all_before(self._make_current, is_host)
                 if not self._current.is_current():
                     raise BadInputError(
@@ -132,8 +126,20 @@ class OwnContext:
                 self._restore = restore if is_host else None
             yield
 
-    def _leave(self, restore: Callable[[], None], is_host: bool) -> None:
-        self._restore = None
+    @contextlib.contextmanager
+    def _waited_for(self) -> Iterator[None]:
+        if not self._in_use.acquire(timeout=_WAIT_S):
+            raise BadInputError(
+                f"Another thread has drawn in this OpenGL context for {_WAIT_S:g} s: end its call, or its block of "
+                "`context.drawing()`."
+            )
+        try:
+            yield
+        finally:
+            self._in_use.release()
+
+    def _leave(self, restore: Callable[[], None], is_host: bool, before: Callable[[], None] | None) -> None:
+        self._restore = before
         self._after_all_before(restore, is_host and self._current.is_current())
 
     def _after_all_before(self, switch: Callable[[], object], is_shared: bool) -> None:
@@ -157,7 +163,7 @@ class OwnContext:
         if self._restore is None:
             raise BadInputError(
                 "The adopted OpenGL context is not current on this thread, and framebuffers belong to it alone: make "
-                "it current, or give textures, which any thread may give."
+                "it current, or give textures, whose drawing has ended (glFinish) if another thread drew them."
             )
         self._after_all_before(self._restore, True)
         try:
@@ -170,17 +176,19 @@ class OwnContext:
         """Return as `ContextOwner`; False without a host."""
         return self._host is not None and self._host.is_same_as(context)
 
-    def release(self, objects: list[Any]) -> bool:
+    def release(self, objects: Collection[Any]) -> bool:
         """Destroy the context with all its objects; the context that was current stays current."""
-        restore = self._save()
-        if self._host is not None:  # textures live as long as a context that shares them
-            self._make_current()
-            free_dropped(self._ctx)
-            for one in objects:
-                one.release()
-        self._ctx.gc_mode = None  # objects that Python drops from now on are gone already
-        self._ctx.release()
-        restore()
+        with self._waited_for():
+            restore = self._save()
+            if self._host is not None:  # textures live as long as a context that shares them
+                self._make_current()
+            if self._host is not None and self._current.is_current():
+                free_dropped(self._ctx)
+                for one in list(objects):
+                    one.release()
+            self._ctx.gc_mode = None  # objects that Python drops from now on are gone already
+            self._ctx.release()
+            restore()
         return True
 
 
@@ -225,7 +233,7 @@ class HostContext:
         """Return as `ContextOwner`."""
         return self._host.is_same_as(context)
 
-    def release(self, objects: list[Any]) -> bool:
+    def release(self, objects: Collection[Any]) -> bool:
         """Destroy the objects and keep the context; if it is not current, warn and destroy nothing."""
         if not self._current.is_current():
             # No error: programs end with the context gone, and its objects with it, which nobody can ask about.
@@ -238,15 +246,15 @@ class HostContext:
             return False
         self._current.function("glUseProgram", _UINT)(0)  # a program in use outlives its deletion
         free_dropped(self._ctx)
-        for one in objects:
+        for one in list(objects):
             one.release()
         self._ctx.gc_mode = None  # objects that Python drops from now on are gone already
         return True
 
 
-def free_dropped(ctx: moderngl.Context) -> None:
+def free_dropped(ctx: Any) -> None:
     """Like `Context.gc`, but skips objects that were already released."""
     while ctx.objects:
         dropped = ctx.objects.popleft()
-        if not isinstance(dropped, moderngl.InvalidObject):
+        if hasattr(dropped, "release"):
             dropped.release()

@@ -1,6 +1,8 @@
 """Composed frames, and the ray maps that they keep."""
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Generic
 
@@ -94,13 +96,14 @@ class ComposedFrame:
         eyes: by name.
         viewpoints: (3,) by eye that it was composed for, device frame, metres.
         world_from_device: (4, 4) head pose that it was composed for; of the first row, if rows have their own.
-        check_readable: raises a `BadInputError` once an eye's picture is overwritten, or the compositor released.
+        reading: block in which an eye's picture is read, while no other thread composes; a `BadInputError` once it is
+            overwritten, or the compositor released.
     """
 
     eyes: Mapping[str, GlComposed]
     viewpoints: Mapping[str, FloatArray]
     world_from_device: FloatArray
-    check_readable: Callable[[str], None]
+    reading: Callable[[str], AbstractContextManager[object]]
 
     def read(self, eye: str | None = None) -> NDArray[Any]:
         """Fetch an eye's (height, width, 3), top row first; `eye` may be left out if there is one.
@@ -112,7 +115,8 @@ class ComposedFrame:
             BadInputError: no such eye, the picture was composed into your framebuffer, a later `compose` has
                 overwritten it, or the compositor has been released.
         """
-        return self._eye(eye).read_colour()
+        with self._eye(eye) as own:
+            return own.read_colour()
 
     def read_async(self, eye: str | None = None) -> Readback:
         """Start to fetch what `read` returns, and return at once; a later `compose` does not change the result.
@@ -122,7 +126,8 @@ class ComposedFrame:
         Raises:
             BadInputError: as `read`.
         """
-        return self._eye(eye).read_async()
+        with self._eye(eye) as own:
+            return own.read_async()
 
     def read_into(self, target: Any, eye: str | None = None) -> None:
         """Copy an eye's picture, RGBA with its top row first, into the caller's memory.
@@ -135,7 +140,8 @@ class ComposedFrame:
         Raises:
             BadInputError: as `read`, or a target of another kind, size or context.
         """
-        self._eye(eye).read_into(target)
+        with self._eye(eye) as own:
+            own.read_into(target)
 
     def status(self, eye: str | None = None) -> NDArray[np.uint8]:
         """Fetch what each pixel of an eye shows, (height, width) uint8, one `WarpStatus` each.
@@ -143,7 +149,8 @@ class ComposedFrame:
         Raises:
             BadInputError: as `read`.
         """
-        return self._eye(eye).read_status()
+        with self._eye(eye) as own:
+            return own.read_status()
 
     def texture(self, eye: str | None = None) -> Any:
         """Return an eye's ModernGL texture, RGBA with its top row first; nothing crosses to the CPU.
@@ -151,7 +158,8 @@ class ComposedFrame:
         Raises:
             BadInputError: the eye is unknown, or the picture was composed into a framebuffer.
         """
-        texture = self._eye(eye).texture
+        with self._eye(eye) as own:
+            texture = own.texture
         if texture is None:
             raise BadInputError("there is no texture: the picture is in the framebuffer that you gave; read it there.")
         return texture
@@ -167,26 +175,30 @@ class ComposedFrame:
             BadInputError: as `read`, it was composed without, or red's or blue's is asked for after the eye's next
                 `submit`.
         """
-        source = self._eye(eye).read_source(channel)
+        with self._eye(eye) as own:
+            source = own.read_source(channel)
         if source is None:
             raise BadInputError("there is no pull map; compose with_source, and not into a framebuffer of yours.")
         return source
 
     def unsolved(self) -> dict[str, dict[str, int]]:
         """Return the number of unsolved points of the ray maps, by eye and reason. Costs a small transfer."""
+        found = {}
         for name in self.eyes:
-            self.check_readable(name)
-        return {name: eye.unsolved() for name, eye in self.eyes.items()}
+            with self._eye(name) as own:
+                found[name] = own.unsolved()
+        return found
 
-    def _eye(self, eye: str | None) -> GlComposed:
+    @contextlib.contextmanager
+    def _eye(self, eye: str | None) -> Iterator[GlComposed]:
         if eye in ("left", "right") and eye not in self.eyes:
             raise BadInputError(
                 f"the {eye} eye was not composed in this frame, which has {', '.join(self.eyes)}; if the headset has "
                 "it, name it in the `eyes` of compose."
             )
         name = checked_eye(eye, tuple(self.eyes))
-        self.check_readable(name)
-        return self.eyes[name]
+        with self.reading(name):
+            yield self.eyes[name]
 
 
 class CachedRayMaps(Generic[SolvedT]):

@@ -5,9 +5,10 @@ images). Each eye shows its newest submitted picture: one that is late, or drawn
 newest pose. All input is checked before anything is changed: after an error the frame is as it was before the call.
 """
 
+import contextlib
 import typing
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -332,20 +333,25 @@ class Compositor:
                 poses = newest if last_row is None else row_poses(newest, last_row, height_px, grid_rows, scan)
                 to = targets.get(eye)
                 composed[eye] = self._backend.eyes[eye].compose(viewpoints[eye], newest, poses, to, with_source)
-            self._backend.show()
-        generations = {eye: self._backend.eyes[eye].generation for eye in chosen}
+            self._backend.show(targets)
+            generations = {eye: self._backend.eyes[eye].generation for eye in chosen}
 
-        def check_readable(eye: str) -> None:
+        @contextlib.contextmanager
+        def reading(eye: str) -> Iterator[None]:
             self._check_alive()
-            if self._backend.eyes[eye].generation != generations[eye]:
-                raise BadInputError(
-                    f"a later compose has overwritten this picture of the {eye} eye; read a frame before the next."
-                )
+            with self._backend.working():
+                if self._backend.eyes[eye].generation != generations[eye]:
+                    raise BadInputError(
+                        f"a later compose has overwritten this picture of the {eye} eye; read a frame before the next."
+                    )
+                yield
 
-        return ComposedFrame(composed, {eye: viewpoints[eye] for eye in chosen}, newest, check_readable)
+        return ComposedFrame(composed, {eye: viewpoints[eye] for eye in chosen}, newest, reading)
 
     def prepare(self, overlays: int = 1, insets: bool = False) -> None:
         """Compile all shaders, so that no frame has to: draws once in every mode, which can take a few seconds.
+
+        The small shader of pictures from array textures is compiled when the first one is submitted.
 
         Args:
             overlays: the most overlays that an eye will show at once, 0 to 4; with any, further shaders are compiled.

@@ -1,6 +1,7 @@
 """Frames that an engine draws: handles, order and history, prediction of their poses, and poses of a display's rows."""
 
 import bisect
+import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -181,6 +182,7 @@ class MotionPredictor:
         self._head = _Samples()
         self._pupils = {eye: _Samples() for eye in boxes}
         self._newest_s = -np.inf
+        self._in_use = threading.Lock()
 
     def predict(
         self,
@@ -197,6 +199,16 @@ class MotionPredictor:
             BadInputError: `predict_s` is not from 0 to 100 ms or has no `time_s`, or the time is more than 100 ms
                 before the latest; no sample is kept then.
         """
+        with self._in_use:  # one thread may begin a frame while another one composes
+            return self._predicted(world_from_device, viewpoints, time_s, predict_s)
+
+    def _predicted(
+        self,
+        world_from_device: FloatArray,
+        viewpoints: Mapping[str, FloatArray],
+        time_s: float | None,
+        predict_s: float,
+    ) -> tuple[FloatArray, dict[str, FloatArray]]:
         ahead_s = checked_number(predict_s, "predict_s", 0, LONGEST_S)
         if time_s is None:
             if ahead_s:

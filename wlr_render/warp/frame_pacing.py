@@ -15,7 +15,7 @@ from wlr_render.warp.checks import checked_number
 _REMEMBERED = 16
 """Frames whose durations are planned with; the second longest counts, so that a single hitch does not."""
 _GAIN = 0.1
-"""Share of the difference to a reported beat by which the beats are moved: jitter averages out over ten."""
+"""Share of the difference to a reported beat by which beats are moved, for each beat since: jitter averages out."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class FramePacer:
     """Plans frames for a display that shows pictures at regular beats; one thread may use it at a time.
 
     A program that cannot keep the beat is paced at every second beat, or third: let another thread compose at each,
-    and hand the times of its scan-outs to the thread of the pacer (docs/realtime.md). A runtime of OpenXR paces its programs in xrWaitFrame.
+    and hand the times of its scan-outs to the thread of the pacer (docs/realtime.md). A runtime of OpenXR paces its
+    programs in xrWaitFrame.
     """
 
     def __init__(self, period_s: float, margin_s: float = 1e-3, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -65,13 +66,13 @@ class FramePacer:
         at_s = checked_number(at_s, "at_s", -math.inf, math.inf)
         beats = round((at_s - self._beat_s) / self._period_s)
         off_s = at_s - (self._beat_s + beats * self._period_s)
-        self._beat_s = at_s if not self._is_reported else at_s - (1 - _GAIN) * off_s
+        self._beat_s = at_s - (off_s * (1 - _GAIN) ** max(beats, 1) if self._is_reported else 0.0)
         self._is_reported = True
 
     def next_frame(self) -> FrameTimes:
         """Plan the next frame, for the first beat after the last frame's that can still be reached.
 
-        Sleep until its `begin_s`, call `finished` when its pictures are submitted.
+        Sleep until its `begin_s`, and call `finished` when its pictures are submitted.
         """
         needed_s, now_s = sorted(self._durations_s)[-2:][0] + self._margin_s, self._clock()
         earliest_s = now_s + needed_s
@@ -81,7 +82,6 @@ class FramePacer:
         self._frame = FrameTimes(max(display_s - needed_s, now_s), display_s)
         return self._frame
 
-    def finished(self) -> None:
-        """Report that the planned frame's pictures are submitted now; its duration counts for the next ones."""
-        if self._frame is not None:
-            self._durations_s.append(max(self._clock() - self._frame.begin_s, 0.0))
+    def finished(self, frame: FrameTimes) -> None:
+        """Report that a frame's pictures are submitted now; its duration counts for the next ones."""
+        self._durations_s.append(max(self._clock() - frame.begin_s, 0.0))

@@ -136,6 +136,9 @@ class GivenPictures:
         """
         number = int(framebuffer if is_number(framebuffer) else framebuffer.glo)
         fixed = not is_number(framebuffer) and framebuffer.color_attachments is not None
+        attached = [*framebuffer.color_attachments[:1], framebuffer.depth_attachment] if fixed else []
+        if any(each is not None and gl.is_released(each) for each in attached):
+            raise BadInputError(f"an image of framebuffer {number} has been released; submit before you release it.")
 
         def prepare(old: _Prepared | None) -> _Prepared:
             parts = [(image, self._ask.size(image), (0, 0)) for image in self._images_of(framebuffer, number)]
@@ -158,7 +161,11 @@ class GivenPictures:
             return self._prepare([self._ask.part_of(each) for each in layers], "texture {name}", size, old)
 
         key = (size, "layers", *((each.layer, each.level, each.rect_px) for each in layers))
-        return self._sources(self._prepared.get(list(given), key, prepare), stored)
+        prepared = self._prepared.get(list(given), key, prepare)
+        for layer in layers:
+            if is_number(layer.texture) and not self._ask.is_texture(layer.name):
+                raise BadInputError(f"texture {layer.name} has been deleted; make a TextureLayer of another one.")
+        return self._sources(prepared, stored)
 
     def _images_of(self, framebuffer: Any, number: int) -> list[Image]:
         images = []

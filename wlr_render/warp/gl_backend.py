@@ -17,7 +17,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.checks import checked_choice
 from wlr_render.warp.composed_frame import CachedRayMaps, GlComposed
 from wlr_render.warp.gl_overlay import Overlay, OverlayImport, Quad, SeenOverlay
-from wlr_render.warp.gl_panel import PanelEncoder
+from wlr_render.warp.gl_panel import TEXTURE_KINDS, PanelEncoder
 from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
 from wlr_render.warp.gl_warp import Backdrop, GlWarp, GpuWarped, WarpedPicture, WarpTarget
 from wlr_render.warp.gpu_image import GpuImage
@@ -249,7 +249,9 @@ class GlBackend:
         self.context = _context(context, host_state == "clean")
         self.is_shared = isinstance(context, gl.GlContext)
         self.name = self.context.renderer
-        self._framebuffers = TargetFramebuffers(self.context)
+        self._framebuffers = TargetFramebuffers(
+            self.context, TEXTURE_KINDS[max(panel.bits for panel in panels.values())]
+        )
         try:
             for plan in plans:
                 _check_sizes(plan, self.context.largest_side_px)
@@ -264,9 +266,9 @@ class GlBackend:
         """Return a block of calls."""
         return self.context.working()
 
-    def show(self) -> None:
+    def show(self, targets: Mapping[str, WarpTarget]) -> None:
         """Bring what was composed into a window's number to the window."""
-        self._framebuffers.show()
+        self._framebuffers.show(targets.values())
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
         """Return the target of each eye's picture; empty for the compositor's textures. See `Compositor.compose`."""

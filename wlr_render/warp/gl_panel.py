@@ -10,7 +10,8 @@ from wlr_render.gl import gl
 from wlr_render.warp.panel_light import PanelLight
 
 _ENCODINGS = {"SRGB": 0, "LINEAR": 1, "TABLE": 2}
-_TEXTURE_KINDS = {8: "f1", 10: "rgb10", 16: "f2"}
+TEXTURE_KINDS = {8: "f1", 10: "rgb10", 16: "f2"}
+"""Formats of textures that hold codes, as in `GlContext.target`, by their bits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class PanelEncoder:
             textures["uniformity"] = _uploaded(context, factors, "f2")
         name = panel.encoding.upper() if isinstance(panel.encoding, str) else "TABLE"
         constants = {"ENCODING": _ENCODINGS[name], "UNIFORMITY": int(panel.uniformity is not None)}
-        return cls(constants | _ENCODINGS, textures, _TEXTURE_KINDS[panel.bits])
+        return cls(constants | _ENCODINGS, textures, TEXTURE_KINDS[panel.bits])
 
 
 def _uploaded(context: gl.GlContext, rgb: NDArray[Any], dtype: str) -> gl.Texture:

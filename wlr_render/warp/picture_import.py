@@ -265,7 +265,8 @@ class PictureImport:
             limits=stored.limits,
             nothing=stored.nothing,
         )
-        units = range(2 if any(each.is_callers or each.is_srgb for each in given) else 0)
+        # Without a depth the unit after the colour's has another picture.
+        units = range(len(given) if any(each.is_callers or each.is_srgb for each in given) else 0)
         for unit in units:
             self._samplers[stored_colour.encoding].use(unit)
         drawing.render(vertices=3)

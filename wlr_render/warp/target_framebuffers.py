@@ -1,7 +1,7 @@
 """Framebuffers and textures of other software as targets of composed frames."""
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from wlr_render.errors import BadInputError
@@ -28,12 +28,12 @@ _FRACTIONS = "does not hold red, green and blue as fractions; give it an RGBA8 t
 class TargetFramebuffers:
     """The caller's framebuffers and textures as targets; use it in drawing blocks."""
 
-    def __init__(self, context: gl.GlContext) -> None:
-        self._context, self._ask = context, FramebufferQueries(context)
+    def __init__(self, context: gl.GlContext, window_kind: str) -> None:
+        """Prepare; a window gets its picture from a texture of a format of `GlContext.target`."""
+        self._context, self._ask, self._window_kind = context, FramebufferQueries(context), window_kind
         self._targets: ImageCache[gl.Framebuffer] = ImageCache()
         self._made = gl.RenderTargets(context)
         self._for_window: gl.RenderTarget | None = None
-        self._source = 0  # a framebuffer object of the host's context
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
         """Return the target of each eye's picture, upright as OpenGL shows it; see `Compositor.compose`.
@@ -42,7 +42,6 @@ class TargetFramebuffers:
             BadInputError: an eye has no target, or a target is not a framebuffer or texture of this context or has
                 another size or kind.
         """
-        self._for_window = None
         if isinstance(into, Mapping):
             missing = set(eyes) - set(into)
             if missing:
@@ -103,18 +102,16 @@ class TargetFramebuffers:
                 raise BadInputError(
                     "the OpenGL context has no window; give a framebuffer object with an RGBA8 texture."
                 )
-        self._for_window = self._made.get("window", size_px, (4, "f1"))
+        self._for_window = self._made.get("window", size_px, (4, self._window_kind))
         return self._for_window.framebuffer
 
-    def show(self) -> None:
+    def show(self, targets: Collection[WarpTarget]) -> None:
         """Copy the picture of the window to it, in the window's own context: framebuffers are not shared."""
-        drawn, self._for_window = self._for_window, None
-        if drawn is None:
+        drawn = self._for_window
+        if drawn is None or all(each.framebuffer is not drawn.framebuffer for each in targets):
             return
         texture, ask = drawn.textures[0], self._ask
-        with self._context.host():
-            source = self._source or ask.made()
-            self._source = source
+        with self._context.host(), ask.made() as source:
             ask.bind(source, READ)
             ask.gl("glFramebufferTexture", *[_UINT] * 3, _INT)(READ, COLOUR, texture.glo, 0)
             ask.bind(0, DRAW)
