@@ -190,6 +190,21 @@ def test_an_inset_without_depth_has_that_of_the_picture_around_it(compositor: Ca
     assert np.abs(shared - expected).max() < 2 * shift_px * slope + 2**-9
 
 
+def test_an_inset_texture_without_depth_has_no_border(compositor: Callable[..., Any]) -> None:
+    """The picture around it is linear light, which no sampler for codes may read."""
+    made, camera = begun(compositor, planar(), context="egl")
+    inset = inset_of(camera)
+    with made.context.drawing() as ctx:
+        grey = [
+            ctx.texture(each.size_px, 4, np.full((*each.size_px[::-1], 4), 70, np.uint8)) for each in (camera, inset)
+        ]
+        depth = ctx.texture(camera.size_px, 1, np.ones(camera.size_px[::-1], np.float32), dtype="f4")
+    made.submit(grey[0], depth)
+    made.submit(grey[1], camera=inset)
+    shown = made.compose().read()
+    assert set(np.unique(shown[20:-20, 20:-20])) == {70}
+
+
 def test_insets_of_all_kinds_of_pictures(compositor: Callable[..., Any]) -> None:
     model = planar()
     made, camera = begun(compositor, model)
