@@ -192,6 +192,7 @@ def test_a_bent_frame_turns_both_eyes_as_mirror_images_and_each_as_a_whole(bench
     for one, other in zip(bent["right"].surfaces(), mirror.surfaces(), strict=True):
         np.testing.assert_allclose(one.device_from_surface, other.device_from_surface, atol=1e-12)
     np.testing.assert_allclose(bent["right"].panel.device_from_panel, mirror.panel.device_from_panel, atol=1e-12)
+    between = np.append(both.optics.eye_box.centre * [0.0, 1.0, 1.0], 1.0)
     for side, inward in (("right", -1.0), ("left", 1.0)):
         old, new = both.device.eyes[side], bent[side]
         moves = [new.panel.device_from_panel @ old.panel.panel_from_device]
@@ -200,6 +201,7 @@ def test_a_bent_frame_turns_both_eyes_as_mirror_images_and_each_as_a_whole(bench
         ]
         for move in moves:
             np.testing.assert_allclose(move, moves[0], atol=1e-12)
+        np.testing.assert_allclose(moves[0] @ between, between, atol=1e-15)
         ahead = moves[0][:3, :3] @ [0.0, 0.0, -1.0]
         np.testing.assert_allclose(np.rad2deg(ahead[:2]), [0.4 * inward, 0.2 * -inward], atol=1e-4)
 
