@@ -98,7 +98,7 @@ class AlignmentFit:
         return EyeModel(self.mappings, self.device, report)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Posterior:
     """Posterior of the unknowns: coefficients of a along x, then y, place of the eye, constant error; see `_prior`."""
 

@@ -31,7 +31,7 @@ _LEAST_CHANGE = 0.9
 _NODES_TOLERANCE_PX = 0.0005
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Search:
     order: int  # power of the cell's size with which the error goes
     places: FloatArray  # positions in a cell with the largest error
