@@ -40,7 +40,6 @@ _SRGB8 = 0x8C41  # GL_SRGB8: texels are decoded to linear light before they are 
 SRGB8_ALPHA8 = 0x8C43
 _RGB10_A2 = 0x8059
 _SRGB_DECODE, _SKIP_DECODE = 0x8A48, 0x8A4A  # enums of GL_EXT_texture_sRGB_decode, which some OpenGL ES drivers lack
-_TEXTURE_2D, _INTERNAL_FORMAT = 0x0DE1, 0x1003
 
 
 class _NestedBlock:
@@ -59,15 +58,14 @@ class _NestedBlock:
 class GlContext:
     """An OpenGL context and its shader programs; a context manager that releases it.
 
-    Several may live in one process: each `drawing` block makes its own current, and afterwards the previous one.
+    Each `drawing` block makes its context current, and afterwards the previous one.
 
     Attributes:
         backend: "egl", "osmesa", or the platform of an adopted context.
         renderer: name of what draws, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)".
         largest_side_px: limit of OpenGL on a texture's or framebuffer's width and height.
         host_is_clean: whether this is the host's own context, in which it promises OpenGL's default state.
-        computes: whether the warp and its passes run as compute shaders: a GPU with OpenGL 4.3. Software renderers
-            compute slowly.
+        computes: whether the warp and its passes run as compute shaders: on a GPU with OpenGL 4.3.
     """
 
     def __init__(

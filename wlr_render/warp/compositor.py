@@ -5,10 +5,10 @@ images). Each eye shows its newest submitted picture: one that is late, or drawn
 newest pose. All input is checked before anything is changed: after an error the frame is as it was before the call.
 """
 
-import contextlib
 import typing
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import Any
 
@@ -336,15 +336,9 @@ class Compositor:
             self._backend.show(targets)
             generations = {eye: self._backend.eyes[eye].generation for eye in chosen}
 
-        @contextlib.contextmanager
-        def reading(eye: str) -> Iterator[None]:
+        def reading(eye: str) -> AbstractContextManager[object]:
             self._check_alive()
-            with self._backend.working():
-                if self._backend.eyes[eye].generation != generations[eye]:
-                    raise BadInputError(
-                        f"a later compose has overwritten this picture of the {eye} eye; read a frame before the next."
-                    )
-                yield
+            return self._backend.reading(eye, generations[eye])
 
         return ComposedFrame(composed, {eye: viewpoints[eye] for eye in chosen}, newest, reading)
 

@@ -24,12 +24,12 @@ from wlr_render.gl.framebuffers import (
     WHOLE_NUMBERS,
     FramebufferQueries,
     Image,
-    ImageCache,
     ImageFormat,
     TextureLayer,
     fresh_framebuffer,
     is_number,
 )
+from wlr_render.gl.image_cache import ImageCache
 from wlr_render.warp.stored_picture import StoredDepth, check_depth_format
 
 _UINT, _INT = ctypes.c_uint, ctypes.c_int

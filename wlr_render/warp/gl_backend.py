@@ -1,7 +1,8 @@
 """Compositor backend in OpenGL, on a GPU or a software renderer."""
 
+import contextlib
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any, Literal
@@ -265,6 +266,20 @@ class GlBackend:
     def working(self) -> AbstractContextManager[object]:
         """Return a block of calls."""
         return self.context.working()
+
+    @contextlib.contextmanager
+    def reading(self, eye: str, generation: int) -> Iterator[None]:
+        """Open a block in which an eye's picture of a generation is read, while no other thread composes.
+
+        Raises:
+            BadInputError: a later picture has overwritten it.
+        """
+        with self.working():
+            if self.eyes[eye].generation != generation:
+                raise BadInputError(
+                    f"a later compose has overwritten this picture of the {eye} eye; read a frame before the next."
+                )
+            yield
 
     def show(self, targets: Mapping[str, WarpTarget]) -> None:
         """Bring what was composed into a window's number to the window."""

@@ -14,11 +14,11 @@ from wlr_render.gl.framebuffers import (
     WHOLE_NUMBERS,
     FramebufferQueries,
     Image,
-    ImageCache,
     TextureLayer,
     fresh_framebuffer,
     is_number,
 )
+from wlr_render.gl.image_cache import ImageCache
 from wlr_render.warp.gl_warp import WarpTarget
 
 _UINT, _INT = ctypes.c_uint, ctypes.c_int
