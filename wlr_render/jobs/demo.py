@@ -150,7 +150,6 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
     frames: list[NDArray[np.uint8]] = []
     blocks: list[Block] = []
     files: list[Path] = []
-    pages: list[Path] = []
     with raster.context if raster else contextlib.nullcontext():
         for eye, truth in eyes.items():
             progress.say(f"calibrating the {eye} eye")
@@ -161,8 +160,8 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
                 blank.append(f"a frame of the {eye} eye")
             frames += seen[0].shown.values()
             own = output_folder(folder_of_eye(folder, eye, options.eye))
+            files += _save_page(own, device.name, fit)
             files += _save_views(own, device.name, truth, renderer, seen[_PICTURED])
-            pages += _save_page(own, device.name, fit)
             errors = {method: summary(each) for method, each in _misalignments(seen).items()}
             verdicts.append(_verdict(errors, f"{scene.name} on {device.name}, {eye} eye"))
             blocks += [
@@ -183,14 +182,21 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
             *blank_warnings(blank, scene.name),
             *saturation_warnings(scene, frames),
         ],
-        advice=[
-            f"Look at {' and '.join(str(block.path) for block in blocks if isinstance(block, Picture))}.",
-            f"Open {' and '.join(map(str, pages))} in a browser: move the pupil, turn the head, choose the method.",
-        ],
+        advice=_advice(files),
         blocks=blocks,
         inputs=[device_path(options.device), scene_path(options.scene)],
-        files=[*files, *pages],
+        files=files,
     )
+
+
+def _advice(files: list[Path]) -> list[str]:
+    pictures, pages = (
+        " and ".join(str(path) for path in files if path.name.endswith(end)) for end in ("alignment.png", "-page.html")
+    )
+    return [
+        f"Look at {pictures}.",
+        f"Open {pages} in a browser: move the pupil, turn the head, choose the method.",
+    ]
 
 
 def _verdict(errors: Mapping[str, Summary], what: str) -> str:
