@@ -53,7 +53,7 @@ class Submission:
 
 
 class Host:
-    """A program that draws both eyes into its own framebuffers and composes into one of twice the width."""
+    """A program that draws both eyes into textures of its own and composes into a framebuffer of twice the width."""
 
     def __init__(self, models: Mapping[str, Eye], size: tuple[int, int], way: str) -> None:
         settings: Any = {"standalone": True, "require": 410, "backend": "egl"}
@@ -67,7 +67,8 @@ class Host:
             ctx = self._caller or vars(self.compositor.context)["_ctx"]
             cameras = {eye: self.compositor.plan(eye).camera for eye in models}
             self._drawn = {
-                eye: ctx.simple_framebuffer((camera.width_px, camera.height_px)) for eye, camera in cameras.items()
+                eye: ctx.framebuffer([ctx.texture(camera.size_px, 4)], ctx.depth_texture(camera.size_px))
+                for eye, camera in cameras.items()
             }
             self._screen = ctx.simple_framebuffer((len(models) * size[0], size[1]))
 

@@ -82,7 +82,7 @@ def _costs(found: Mapping[str, Submission]) -> ReportTable:
         for way, each in found.items()
     ]
     notes = (
-        "Both eyes, from the host's framebuffers into one framebuffer of the host; a new viewpoint every frame.",
+        "Both eyes, from the host's textures into one framebuffer of the host; a new viewpoint every frame.",
         "Times are medians of the thread's CPU time; draws, clears and blits do nothing, all other calls reach the "
         "driver. Calls include ModernGL's. Gets read state: threaded drivers wait for them.",
     )

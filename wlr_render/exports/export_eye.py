@@ -38,8 +38,8 @@ def export(
         The files, named after the eye.
 
     Raises:
-        BadInputError: an unknown format, or one that needs both eyes ("monado"); a viewpoint that is not three finite
-            numbers; or a folder that cannot be written.
+        BadInputError: an unknown format, or one that needs both eyes ("monado", "steamvr"); a viewpoint that is not
+            three finite numbers; or a folder that cannot be written.
         MissingExtraError: a library that the format needs is not installed.
 
     Example:

@@ -199,22 +199,18 @@ class MotionPredictor:
             BadInputError: `predict_s` is not from 0 to 100 ms or has no `time_s`, or the time is more than 100 ms
                 before the latest; no sample is kept then.
         """
-        with self._in_use:  # one thread may begin a frame while another one composes
-            return self._predicted(world_from_device, viewpoints, time_s, predict_s)
-
-    def _predicted(
-        self,
-        world_from_device: FloatArray,
-        viewpoints: Mapping[str, FloatArray],
-        time_s: float | None,
-        predict_s: float,
-    ) -> tuple[FloatArray, dict[str, FloatArray]]:
         ahead_s = checked_number(predict_s, "predict_s", 0, LONGEST_S)
         if time_s is None:
             if ahead_s:
                 raise BadInputError("predict_s needs time_s, the time of the pose in seconds; give both.")
             return world_from_device, dict(viewpoints)
         now = checked_number(time_s, "time_s", -1e12, 1e12)
+        with self._in_use:  # one thread may begin a frame while another one composes
+            return self._moved(world_from_device, viewpoints, now, ahead_s)
+
+    def _moved(
+        self, world_from_device: FloatArray, viewpoints: Mapping[str, FloatArray], now: float, ahead_s: float
+    ) -> tuple[FloatArray, dict[str, FloatArray]]:
         if now < self._newest_s - LONGEST_S:
             raise BadInputError(
                 f"time_s is {now:g} s, and that of the pose before was {self._newest_s:g} s; take all times from one "
