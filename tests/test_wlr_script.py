@@ -48,6 +48,19 @@ def test_readers_says_at_the_end_what_is_installed(tmp_path: Path) -> None:
     assert "mrcal" not in last
 
 
+def test_an_environment_of_another_checkout_is_not_installed_into(tmp_path: Path) -> None:
+    other, here = tmp_path / "other", tmp_path / "here"
+    other.mkdir()
+    here.mkdir()
+    (here / ".venv").symlink_to(other)
+    for name in ("wlr", "pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, here)
+    done = subprocess.run([here / "wlr", "--version"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert "is a link, and what it links belongs to another checkout; remove the link" in done.stderr
+    assert not any(other.iterdir())
+
+
 @pytest.mark.parametrize("verb", ["test", "check"])
 def test_tests_run_in_one_process_per_core_and_take_arguments(tmp_path: Path, verb: str) -> None:
     commands = {name: "" for name in ("ruff", "mypy", "lint-imports")} | {"python": 'printf "[%s] " "$@"; echo'}

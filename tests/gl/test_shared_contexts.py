@@ -166,6 +166,24 @@ def display(tmp_path: Path) -> Iterator[Any]:
     server.communicate(timeout=20)
 
 
+def test_a_refusal_of_glx_is_told_in_a_sentence(display: Any) -> None:
+    """The error of X would end the program."""
+    script = """
+        import moderngl
+        from wlr_render.errors import MissingGlError
+        from wlr_render.gl import gl
+        theirs = moderngl.create_context(standalone=True, require=330)
+        try:
+            gl.adopt_context()
+        except MissingGlError as error:
+            print(error)
+        print(theirs.error)
+    """
+    told, after = run(script, DISPLAY=f":{display}", MESA_GL_VERSION_OVERRIDE="3.3").splitlines()
+    assert "yours of version 3.3 (GLX refuses an OpenGL 4.1 context that shares" in told
+    assert after == "GL_NO_ERROR"
+
+
 def test_a_context_of_an_x_window_system_is_adopted_and_no_other_opens_beside_it(
     gl_context: GlContext, display: Any
 ) -> None:

@@ -258,7 +258,7 @@ def test_framebuffers_that_cannot_be_drawn_to_are_told_in_a_sentence(
         (0, "has no window"),
         (12345, "12345 is not a framebuffer object"),
         (-1, "is not a framebuffer object"),
-        (released, "is not a framebuffer object"),
+        (released, "the framebuffer has been released, or an image of it; give one that is alive"),
         (theirs.framebuffer([theirs.texture(SMALL, 4, dtype="u1")]), "fractions"),
         (theirs.framebuffer([theirs.texture(SMALL, 2)]), "red, green and blue"),
         (theirs.framebuffer([], theirs.depth_texture(SMALL)), "first attachment"),
@@ -277,6 +277,17 @@ def test_framebuffers_that_cannot_be_drawn_to_are_told_in_a_sentence(
         assert theirs.error == "GL_NO_ERROR"
     np.testing.assert_array_equal(one_eye.compose().read(), expected)
     elsewhere.release()
+
+
+@pytest.mark.parametrize("kind", ["name", "object", "framebuffer"])
+def test_a_target_that_died_is_told(theirs: moderngl.Context, one_eye: Compositor, kind: str) -> None:
+    """Our framebuffer keeps its image, to which a frame would be drawn for nobody."""
+    texture = theirs.texture(SMALL, 4)
+    kinds = {"name": TextureLayer(texture.glo), "object": texture, "framebuffer": theirs.framebuffer([texture])}
+    one_eye.compose(kinds[kind])
+    texture.release()
+    with pytest.raises(BadInputError, match=r"number \d+ is not a texture|has been released, or an image of it"):
+        one_eye.compose(kinds[kind])
 
 
 def test_what_went_elsewhere_is_not_fetched(theirs: moderngl.Context, one_eye: Compositor) -> None:

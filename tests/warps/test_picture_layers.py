@@ -192,7 +192,7 @@ def test_a_texture_that_died_is_told_and_the_last_picture_stays(
     made.begin_frame(np.eye(4), seen)
     with gl_context.drawing():
         colour.release()
-    with pytest.raises(BadInputError, match=r"texture \d+ has been deleted; make a TextureLayer of another one"):
+    with pytest.raises(BadInputError, match=r"number \d+ is not a texture of the OpenGL context"):
         made.submit(*layers)
     assert (made.compose().read() == 70).all()
 

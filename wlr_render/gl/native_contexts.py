@@ -1,8 +1,9 @@
 """OpenGL contexts of the platform: the current one, bindings to a thread, and contexts that share textures."""
 
+import contextlib
 import ctypes
 import ctypes.util
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -163,12 +164,13 @@ class EglBinding:
         if number.value:  # 0: of no configuration, and neither is ours
             wanted = _numbers(_EGL_CONFIG_ID, number.value, _EGL_NONE)
             find(display, wanted, ctypes.addressof(config), 1, ctypes.addressof(count))
-        create = self._creating_opengl(_function(self._library, "eglCreateContext", *[_POINTER] * 4))
+        create = _function(self._library, "eglCreateContext", *[_POINTER] * 4)
         version = _EGL_MAJOR, 4, _EGL_MINOR, 1, _EGL_PROFILE, _EGL_CORE
-        # Contexts that share must agree on the effect of a reset of the GPU.
-        ours = create(display, config, host, _numbers(*version, _EGL_NONE)) or create(
-            display, config, host, _numbers(*version, *_EGL_LOST_AT_RESET, _EGL_NONE)
-        )
+        with self._opengl_chosen():
+            # Contexts that share must agree on the effect of a reset of the GPU.
+            ours = create(display, config, host, _numbers(*version, _EGL_NONE)) or create(
+                display, config, host, _numbers(*version, *_EGL_LOST_AT_RESET, _EGL_NONE)
+            )
         if not ours:
             raise OSError("EGL refuses an OpenGL 4.1 context that shares with the one that is current")
         destroy = _function(self._library, "eglDestroyContext", _POINTER, _POINTER)
@@ -177,20 +179,16 @@ class EglBinding:
             load, lambda: self._make_current(display, None, None, ours), lambda: destroy(display, ours)
         )
 
-    def _creating_opengl(self, create: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function that creates contexts of OpenGL: threads begin with OpenGL ES."""
+    @contextlib.contextmanager
+    def _opengl_chosen(self) -> Iterator[None]:
+        """Create contexts of OpenGL in a block: threads begin with OpenGL ES."""
         choose = _function(self._library, "eglBindAPI", ctypes.c_uint, result=ctypes.c_uint)
-        chosen = _function(self._library, "eglQueryAPI", result=ctypes.c_uint)
-
-        def created(*arguments: Any) -> Any:
-            before = chosen()
-            choose(_EGL_OPENGL)
-            try:
-                return create(*arguments)
-            finally:
-                choose(before)
-
-        return created
+        before = _function(self._library, "eglQueryAPI", result=ctypes.c_uint)()
+        choose(_EGL_OPENGL)
+        try:
+            yield
+        finally:
+            choose(before)
 
     def makes_current(self, make_current: Callable[[], object], current: CurrentContext) -> bool:
         """Return whether a function makes the given context current; then restore the context that was current."""
@@ -238,14 +236,14 @@ class GlxBinding:
         load = _function(self._library, "glXGetProcAddressARB", ctypes.c_char_p)
         address = load(b"glXCreateContextAttribsARB")
         ours = None
-        restore_errors = _without_x_errors(display)
         for config in (_POINTER * count.value).from_address(first) if first and address else ():
             attribute(display, config, _GLX_CONFIG_ID, ctypes.addressof(found))
-            if not ours and found.value == number.value:
+            if found.value == number.value:
                 create = ctypes.CFUNCTYPE(_POINTER, _POINTER, _POINTER, _POINTER, _INT, _POINTER)(address)
                 version = _GLX_MAJOR, 4, _GLX_MINOR, 1, _GLX_PROFILE, _GLX_CORE
-                ours = create(display, config, host, 1, _numbers(*version, 0))
-        restore_errors()
+                with _x_errors_ignored(display):
+                    ours = create(display, config, host, 1, _numbers(*version, 0))
+                break
         if not ours:
             raise OSError("GLX refuses an OpenGL 4.1 context that shares with the one that is current")
         destroy = _function(self._library, "glXDestroyContext", _POINTER, _POINTER)
@@ -254,21 +252,20 @@ class GlxBinding:
         )
 
 
-def _without_x_errors(display: int | None) -> Callable[[], None]:
-    """Ignore errors of X, which end a program, until the returned function is called."""
+@contextlib.contextmanager
+def _x_errors_ignored(display: int | None) -> Iterator[None]:
+    """Ignore errors of X in a block: by default they end the program."""
     x11 = ctypes.CDLL(ctypes.util.find_library("X11") or "libX11.so.6")
     handle = _function(x11, "XSetErrorHandler", _POINTER)
     wait = _function(x11, "XSync", _POINTER, _INT, result=_INT)
     ignore = ctypes.CFUNCTYPE(_INT, _POINTER, _POINTER)(lambda display, error: 0)
+    wait(display, 0)  # errors come with a delay: earlier ones are the host's
     before = handle(ctypes.cast(ignore, _POINTER))
-
-    def restore() -> None:
-        wait(display, 0)  # errors come with a delay
+    try:
+        yield
+    finally:
+        wait(display, 0)
         handle(before)
-        del ignore_until_now[:]
-
-    ignore_until_now = [ignore]
-    return restore
 
 
 class OsMesaBinding:

@@ -122,7 +122,7 @@ class GivenPictures:
     def __init__(self, context: gl.GlContext) -> None:
         self._context = context
         self._ask = FramebufferQueries(context)
-        self._prepared: ImageCache[_Prepared] = ImageCache()
+        self._prepared: ImageCache[_Prepared] = ImageCache(self._ask)
         self._targets: dict[int, tuple[tuple[object, ...], gl.Framebuffer, gl.Texture]] = {}
         self._new = ""  # the picture that was never copied before
         self._binding = self._ask.gl("glActiveTexture", _UINT), self._ask.gl("glBindTexture", _UINT, _UINT)
@@ -135,16 +135,12 @@ class GivenPictures:
                 in a format that cannot be copied; or as `check_depth_format`.
         """
         number = int(framebuffer if is_number(framebuffer) else framebuffer.glo)
-        fixed = not is_number(framebuffer) and framebuffer.color_attachments is not None
-        attached = [*framebuffer.color_attachments[:1], framebuffer.depth_attachment] if fixed else []
-        if any(each is not None and gl.is_released(each) for each in attached):
-            raise BadInputError(f"an image of framebuffer {number} has been released; submit before you release it.")
 
         def prepare(old: _Prepared | None) -> _Prepared:
             parts = [(image, self._ask.size(image), (0, 0)) for image in self._images_of(framebuffer, number)]
             return self._prepare(parts, f"framebuffer {number}", size, old)
 
-        return self._sources(self._prepared.get([framebuffer if fixed else number], size, prepare), stored)
+        return self._sources(self._prepared.get([framebuffer], size, prepare), stored)
 
     def of_textures(self, given: Sequence[Any], size: tuple[int, int] | None, stored: StoredDepth) -> list[Source]:
         """Colour, and depth if there is one, of textures or layers of (width, height), rows as they lie.
@@ -161,11 +157,7 @@ class GivenPictures:
             return self._prepare([self._ask.part_of(each) for each in layers], "texture {name}", size, old)
 
         key = (size, "layers", *((each.layer, each.level, each.rect_px) for each in layers))
-        prepared = self._prepared.get(list(given), key, prepare)
-        for layer in layers:
-            if is_number(layer.texture) and not self._ask.is_texture(layer.name):
-                raise BadInputError(f"texture {layer.name} has been deleted; make a TextureLayer of another one.")
-        return self._sources(prepared, stored)
+        return self._sources(self._prepared.get(list(given), key, prepare), stored)
 
     def _images_of(self, framebuffer: Any, number: int) -> list[Image]:
         images = []

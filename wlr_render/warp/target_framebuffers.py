@@ -31,7 +31,7 @@ class TargetFramebuffers:
     def __init__(self, context: gl.GlContext, window_kind: str) -> None:
         """Prepare; a window gets its picture from a texture of a format of `GlContext.target`."""
         self._context, self._ask, self._window_kind = context, FramebufferQueries(context), window_kind
-        self._targets: ImageCache[gl.Framebuffer] = ImageCache()
+        self._targets: ImageCache[gl.Framebuffer] = ImageCache(self._ask)
         self._made = gl.RenderTargets(context)
         self._for_window: gl.RenderTarget | None = None
 
@@ -80,9 +80,8 @@ class TargetFramebuffers:
         number = int(owner if is_number(owner) else owner.glo)
         if not number:
             return self._window(size_px)
-        fixed = not is_number(owner) and owner.color_attachments is not None
         return self._targets.get(
-            [owner if fixed else number],
+            [owner],
             ("framebuffer", size_px),
             lambda old: self._of_framebuffer(owner, size_px, old),
         )
