@@ -1,4 +1,4 @@
-"""A context beside somebody else's, which shares its textures and touches nothing of its state."""
+"""A context that shares another program's textures and changes nothing of its state."""
 
 import ctypes
 import shutil

@@ -223,13 +223,16 @@ def put(content: Content, value: Any, *keys: Any) -> Content:
             "must be one of DISTORT",
         ),
         (put(steamvr(), [[0.0] * 3] * 3, "tracking_to_eye_transform", 1, "intrinsics"), "focal lengths 0 and 0"),
-        (put(steamvr(), [[1.0] * 3] * 3, "tracking_to_eye_transform", 1, "eye_to_head"), "no rotation matrix"),
+        (put(steamvr(), [[1.0] * 3] * 3, "tracking_to_eye_transform", 1, "eye_to_head"), "not a rotation matrix"),
         (put(steamvr(), 63.0, "lens_separation"), "63000 mm apart"),
         (put(wmr(), [0.0] * 9, "CalibrationInformation", "Displays", 0, "Affine"), "'Affine' has no inverse"),
         (put(wmr(), [1.0], "CalibrationInformation", "Displays", 0, "DistortionRed", "ModelParameters"), "5 numbers"),
         (put(xreal(), [0.0] * 4, "display", "target_q_left_display"), "unit quaternion"),
         (put(xreal(), [1.0], "display_distortion", "left_display", "data"), "'data' has 1 numbers"),
-        (put(xreal(), [0.0] * 8540, "display_distortion", "right_display", "data"), "no grid of rows and columns"),
+        (
+            put(xreal(), [0.0] * 8540, "display_distortion", "right_display", "data"),
+            "do not form a grid of ascending rows and columns",
+        ),
         (
             {"num_grid_points_x": 3, "num_grid_points_y": 3, "baseline": 63, "left": {"grid": [1]}},
             "'grid' must be 3 rows",

@@ -75,7 +75,7 @@ def test_no_state_is_restored(caller: Caller, clean: Compositor, models: Mapping
 
 
 def test_pictures_by_number_and_layer(caller: Caller, clean: Compositor, models: Mapping[str, Eye]) -> None:
-    """What is drawn into their objects later is shown."""
+    """A picture that is drawn into their objects later is shown."""
     ctx = caller.ctx
     screen = ctx.simple_framebuffer((2 * SMALL[0], SMALL[1]))
     size = clean.plan("left").camera.width_px, clean.plan("left").camera.height_px

@@ -164,7 +164,7 @@ def test_a_framebuffer_with_layers_as_attachments(gl_context: GlContext, take: P
 
 
 def test_floats_keep_more_than_bytes(gl_context: GlContext, take: PictureImport) -> None:
-    """Where they lie, and copied from a mip level."""
+    """In a texture that is read in place, and in a mip level that is copied."""
     light = np.full((HEIGHT, WIDTH, 4), 0.50098, np.float16)
     with gl_context.drawing() as ctx:
         plain, level = ctx.texture(SIZE, 4, light, dtype="f2"), ctx.texture((2 * WIDTH, 2 * HEIGHT), 4, dtype="f2")

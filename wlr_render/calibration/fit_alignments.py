@@ -238,7 +238,7 @@ def _fits(
 def _doubtful(
     found: Alignments, terms: FloatArray, orders: IntArray, eye: FloatArray, left: FloatArray
 ) -> tuple[int, ...]:
-    """Return the numbers of alignments, among those of the largest residuals (n,), that a fit to the others misses."""
+    """Return the alignments that a fit to the others misses, of the few with the largest residuals (n,), from 1."""
     doubtful, count = [], len(found.pixel)
     values, design = _design(found, terms, eye)
     for number in map(int, np.argsort(-left)[: _SUSPECTS * (count > LEAST)]):

@@ -45,7 +45,7 @@ class Alignments:
 
 
 def is_alignments(path: Path) -> bool:
-    """Return whether a file has alignments, or its `format` is that of alignments."""
+    """Return whether a file has alignments, or states their `format`."""
     try:
         table = read_toml(path) if path.suffix.lower() == ".toml" and path.is_file() else None
         return table is not None and (table.has("alignment") or table.text("format", "") == FORMAT)

@@ -88,9 +88,8 @@ def page_data(view: ExportedView, colour: str) -> dict[str, Any]:
     name, side = html_text(view.origin.name), view.eye
     return {
         "title": f"{name}, {side} eye: a simulation in the browser",
-        "verdict": f"This page is a simulation of {name}, {side} eye. It takes the fitted models for the truth: the "
-        "misalignment of planar is that of its interpolation alone. See the predicted error for what the calibration "
-        "left.",
+        "verdict": f"This page is a simulation of {name}, {side} eye. It takes the fitted models for the truth, so "
+        "that planar is misaligned by its interpolation alone. See the predicted error for what the calibration left.",
         "about": f"wlr_render {__version__}, export --format page. Scene: {SCENE}.",
         "model": _base64(content),
         "shader": resource("shaders", "own_warp.glsl").read_text(encoding="utf-8"),

@@ -145,7 +145,7 @@ class GivenPictures:
     def of_textures(self, given: Sequence[Any], size: tuple[int, int] | None, stored: StoredDepth) -> list[Source]:
         """Colour, and depth if there is one, of textures or layers of (width, height), rows as they lie.
 
-        A size of None is that of the texture.
+        If the size is None, any size will do.
 
         Raises:
             BadInputError: a texture, layer or level does not exist, or has another size or a format that cannot be

@@ -282,7 +282,7 @@ class GlBackend:
             yield
 
     def show(self, targets: Mapping[str, WarpTarget]) -> None:
-        """Bring what was composed into a window's number to the window."""
+        """Copy the picture for a window to it, if there is one among the targets."""
         self._framebuffers.show(targets.values())
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:

@@ -134,7 +134,7 @@ def inverse_pairs(names: Sequence[str]) -> list[tuple[int, int]]:
 
 
 def _drift(place: IntArray, gain: FloatArray, taken: IntArray) -> FloatArray:
-    """Return the gain (n,) at places of the order of taking, from those of white photographs at other places."""
+    """Return the gain (n,) at places of the order of taking, interpolated between the white photographs."""
     order = np.argsort(place)
     between = PchipInterpolator(place[order], gain[order])
     return np.asarray(between(np.clip(taken, place[order[0]], place[order[-1]])))
@@ -157,7 +157,7 @@ def _of_pair(one: FloatArray, other: FloatArray, drift: FloatArray) -> FloatArra
 
 
 def _near(off: FloatArray) -> BoolArray:
-    """Return (n,) which of the residuals are no outliers."""
+    """Return whether each residual (n,) is near the others."""
     middle = np.median(off)
     scatter = max(1.4826 * float(np.median(np.abs(off - middle))), _GREY)
     return np.asarray(np.abs(off - middle) <= _OUTLIER * scatter)

@@ -63,6 +63,7 @@ def calibrate_alignments(options: CalibrateOptions, *, progress: ProgressArgumen
 _NOTES = (
     "One sigma of direction of a pixel less direction of the point that it should cover, for the pupil where it was "
     "during the alignments. A constant error of the hand, which no alignment shows, counts as half of its random one.",
+    "Ordinary headsets decide where the alignments do not: an unusual headset errs by more than predicted.",
 )
 
 

@@ -61,7 +61,7 @@ class Validation:
         if not larger:
             most = max(each.high for each in self.ratios)
             return (
-                f"Believe the stated errors, as far as refits can tell: {_listed(self.ratios)}. They do not exclude "
+                f"The refits do not contradict the stated errors: {_listed(self.ratios)}. They do not exclude "
                 f"errors of up to {most:.1f} times the stated ones, and errors that all camera positions share, as of "
                 "the lens, the board or the frame, show in no refit."
             )
@@ -132,7 +132,7 @@ def _listed(found: Sequence[Ratio]) -> str:
     for method in METHODS:
         values = [f"{each.value:.2f} ({each.side})" for each in found if each.method == method]
         parts += [f"{method} {', '.join(values)}"] if values else []
-    return f"found over stated is by {'; by '.join(parts)}"
+    return f"found over stated, more than 1 where the stated error is too small, is by {'; by '.join(parts)}"
 
 
 def validated(

@@ -1,8 +1,8 @@
 """Read factory calibrations: SteamVR, Monado's North Star grid, Windows Mixed Reality, XREAL.
 
-What the numbers mean is Monado's reading of SteamVR's and WMR's files (github.com/alvr-org/Monado-ALVR at 4053401:
-`vive_config.c`, `u_distortion_mesh.c`, `wmr_config.c`), the documentation of SteamVR's JSON file for makers of
-hardware, and public drivers of XREAL glasses. Pixel (0, 0) is the outer corner of the panel in all of them.
+The meaning of the numbers follows Monado (github.com/alvr-org/Monado-ALVR at 4053401: `vive_config.c`,
+`u_distortion_mesh.c`, `wmr_config.c`) for SteamVR's and WMR's files, the documentation of SteamVR's JSON file for
+makers of hardware, and public drivers of XREAL glasses. Pixel (0, 0) is the outer corner of the panel in all of them.
 """
 
 import json
@@ -186,7 +186,7 @@ def _xreal_grid(grid: Table, plane: FloatArray) -> GridTangents:
     u, v = data[0, :, 0], data[:, 0, 1]
     regular = np.allclose(data[..., 0], u, atol=0.01) and np.allclose(data[..., 1], v[:, None], atol=0.01)
     if not regular or np.diff(u).min() <= 0 or np.diff(v).min() <= 0:
-        raise grid.fail("the points of 'data' are no grid of rows and columns in ascending order; correct them.")
+        raise grid.fail("the points of 'data' do not form a grid of ascending rows and columns; correct them.")
     return GridTangents(u, v, data[..., 2:], plane)
 
 
@@ -210,7 +210,7 @@ def _north_star(table: Table) -> dict[str, _Calibrated]:
 
 def _rotation(table: Table, key: str, matrix: FloatArray) -> FloatArray:
     if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-3 or np.linalg.det(matrix) < 0:
-        raise table.fail(f"'{key}' is no rotation matrix; correct it.")
+        raise table.fail(f"'{key}' is not a rotation matrix; correct it.")
     return np.asarray(Rotation.from_matrix(matrix).as_matrix(), np.float64)
 
 
