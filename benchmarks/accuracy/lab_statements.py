@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from benchmarks.accuracy.workshop_captures import HALF_DIAGONAL_PX, LabBoard, LabCamera
 from wlr_render.captures.correspondences import AnyCaptures, Captures
 from wlr_render.captures.feature_captures import REAL_POINT, CaptureMotionPrior, CommonErrors, point_terms
 from wlr_render.geometry.directions import tangents_of_dir
@@ -13,7 +14,6 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.workshop import ARM_M, SHIFT_UM, WOBBLE_URAD, Workshop
-from wlr_render.simulation.workshop_captures import HALF_DIAGONAL_PX, LabBoard, LabCamera
 
 SHARED = ("lens", "pupil", "bow", "abbe")
 """Errors that all captures share, and that a lab can state."""

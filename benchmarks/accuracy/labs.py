@@ -10,13 +10,13 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.accuracy.lab_statements import SHARED, with_common, with_motion
+from benchmarks.accuracy.workshop_captures import display_captures, see_through_captures
 from benchmarks.trials import EvaluatedEye, capture_setup, display_observations, see_through_observations
 from wlr_render.captures.correspondences import Captures
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.mapping_error import DisplayObservations, SeeThroughObservations
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 from wlr_render.simulation.workshop import SWITCHES, Workshop
 
 Places = Literal["raster", "planned"]
@@ -81,11 +81,11 @@ def lab_captures(
         camera_noise_arcmin=drawn if noise_arcmin is None else noise_arcmin,
         grid=GRID,
         target_depths_m=DEPTHS_M,
-        workshop=workshop,
     )
     viewpoint = lab_positions(setup.truth, setup.field.reach, positions, places, rng)
-    display, see_through = simulate_display(setup, viewpoint, rng), simulate_see_through(setup, viewpoint, rng)
-    captures, knowledge = Captures(display, see_through), np.random.default_rng([seed, 1])
+    display = display_captures(setup, workshop, viewpoint, rng)
+    captures = Captures(display, see_through_captures(setup, workshop, viewpoint, rng))
+    knowledge = np.random.default_rng([seed, 1])
     if named := [name for name in SHARED if name in stated and name in workshop.switches and level]:
         captures = with_common(captures, setup, workshop, named, knowledge)
     if "repeatability" in stated and level:

@@ -12,7 +12,6 @@ from wlr_render.geometry import directions
 from wlr_render.mappings import Eye, FieldOfView
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.workshop import Workshop
 
 SeeThroughRays = Literal["backward", "forward"]
 CaptureSampling = Literal["planar", "volumetric", "static"]
@@ -40,8 +39,6 @@ class CaptureSetup:
         see_through_rays: "backward" solves for the direction of each dot, as in a photograph of a target.
             "forward" traces a grid of camera pixels through the optics to the target planes (paper: section 4.3):
             one trace per reading and no solve.
-        workshop: errors of the second family, and a session with all that a lab records; `stage_curve` and
-            `see_through_rays` are then not used. None for no such errors.
 
     Raises:
         BadInputError: a negative error, an empty grid, target depths that do not determine a ray, or other rays.
@@ -57,7 +54,6 @@ class CaptureSetup:
     stage_turn_rad: float = 0.0
     stage_curve: Callable[[FloatArray], FloatArray] | None = None
     see_through_rays: SeeThroughRays = "backward"
-    workshop: Workshop | None = None
 
     def __post_init__(self) -> None:
         for name in ("camera_noise_arcmin", "stage_error_m", "stage_turn_rad"):
@@ -90,7 +86,6 @@ class CaptureSetup:
     def stated_sigma_arcmin(self) -> float:
         """Sigma of a measured direction that captures state; 0 only for exact ones."""
         has_stage_errors = self.stage_error_m > 0 or self.stage_turn_rad > 0 or self.stage_curve is not None
-        has_stage_errors |= self.workshop is not None and self.workshop.level > 0.0
         return self.camera_noise_arcmin or (LEAST_SIGMA_ARCMIN if has_stage_errors else 0.0)
 
     @cached_property

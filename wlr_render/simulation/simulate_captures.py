@@ -14,7 +14,6 @@ from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.simulation import workshop_captures
 from wlr_render.simulation.capture_setup import CaptureSampling, CaptureSetup
 
 
@@ -71,8 +70,6 @@ def simulate_display(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.
     Raises:
         BadInputError: nothing is visible from any position.
     """
-    if setup.workshop is not None:
-        return workshop_captures.display_captures(setup, setup.workshop, viewpoint, rng)
     position, pixel, view_dir = _decoded(setup, _visited(setup, viewpoint, rng))
     captures = DisplayCaptures(
         device=setup.truth.name,
@@ -148,8 +145,6 @@ def simulate_see_through(setup: CaptureSetup, viewpoint: FloatArray, rng: np.ran
     Raises:
         BadInputError: nothing is visible from any position.
     """
-    if setup.workshop is not None:
-        return workshop_captures.see_through_captures(setup, setup.workshop, viewpoint, rng)
     parts = [_one_target(setup, number, viewpoint, rng) for number in range(len(setup.target_depths_m))]
     return with_camera_noise(concatenate(parts), setup.camera_noise_arcmin, rng)
 

@@ -15,7 +15,7 @@ from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, Se
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.capture_setup import LEAST_SIGMA_ARCMIN, CaptureSetup
 from wlr_render.simulation.workshop import Workshop, travel_of
 
 HALF_DIAGONAL_PX = 1600.0
@@ -155,8 +155,12 @@ class LabSweep:
             "stage": reading[visit],
             "travel": travel_of(reading)[visit, 0],
             "device_from_camera": self.camera.device_from_camera,
-            "sigma_arcmin": np.full(len(visit), self.setup.stated_sigma_arcmin),
+            "sigma_arcmin": np.full(len(visit), self._stated_sigma_arcmin),
         }
+
+    @property
+    def _stated_sigma_arcmin(self) -> float:
+        return self.setup.camera_noise_arcmin or (LEAST_SIGMA_ARCMIN if self.workshop.level > 0.0 else 0.0)
 
     def noisy(self, captures: AnyCaptures, rng: np.random.Generator) -> AnyCaptures:
         """Add the noise of the readings, visit by visit."""
@@ -221,7 +225,7 @@ class LabBoard:
 def display_captures(
     setup: CaptureSetup, workshop: Workshop, viewpoint: FloatArray, rng: np.random.Generator
 ) -> DisplayCaptures:
-    """Decode the panel in the camera's pixels from positions (m, 3), see `simulate_display`."""
+    """Decode the panel in the camera's pixels from positions (m, 3), device frame, in the order of their visits."""
     sweep = LabSweep.driven(setup, workshop, viewpoint, 0, rng)
     view_dir = setup.camera_dirs()
     origin, direction = sweep.rays_of_dirs(view_dir)
@@ -235,7 +239,7 @@ def display_captures(
 def see_through_captures(
     setup: CaptureSetup, workshop: Workshop, viewpoint: FloatArray, rng: np.random.Generator
 ) -> SeeThroughCaptures:
-    """Photograph the board at all poses through the optics, see `simulate_see_through`."""
+    """Photograph the board at all poses through the optics from positions (m, 3), which are visited anew for each."""
     board, parts = LabBoard.of(setup), []
     for pose, device_from_target in enumerate(board.device_from_target):
         sweep = LabSweep.driven(setup, workshop, viewpoint, pose, rng)
