@@ -24,9 +24,9 @@ from benchmarks.simulated_lab.registration_photographs import (
     photograph,
     photograph_tracking,
 )
+from benchmarks.simulated_lab.saved_station import SavedStation, load_station
 from wlr_render.calibration.bench.board_views import TRACKING, BoardView
 from wlr_render.calibration.bench.start import board_pose
-from wlr_render.calibration.bench.station_file import SavedStation, load_station
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.draw.painters import Painter, TracedPainter
 from wlr_render.draw.raster_painter import WarpedPainter, traced_instead

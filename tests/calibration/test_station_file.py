@@ -8,7 +8,7 @@ import pytest
 from corpus.base_texts import STATION
 from present import narrowed
 
-from wlr_render.calibration.bench.station_file import load_station
+from wlr_render.calibration.bench.station_file import read_lens, read_station
 from wlr_render.errors import BadInputError
 
 
@@ -31,9 +31,9 @@ def test_a_station_that_nobody_has_is_refused(
 ) -> None:
     path = tmp_path / "station-right.json"
     path.write_text(json.dumps(STATION), encoding="utf-8")
-    assert load_station(path).eyeball_camera.size_px == (640, 480)
+    assert read_lens(read_station(path).table("eyeball_camera")).size_px == (640, 480)
     content = STATION | changes | {"eyeball_camera": narrowed(STATION["eyeball_camera"], dict) | camera}
     path.write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(BadInputError, match=sentence) as caught:
-        load_station(path)
+        read_lens(read_station(path).table("eyeball_camera"))
     assert str(caught.value).startswith(str(path))

@@ -186,7 +186,6 @@ STATION = {
         "centre_px": [320.0, 240.0],
         "distortion": [0.0, 0.0, 0.0, 0.0, 0.0],
     },
-    "board": None,
 }
 HEAD = "".join(f"{0.1 * step:.1f} 0 0 0 0 0 0 1\n" for step in range(5))
 HEAD_CSV = "".join(f"{10**8 * step},0,0,0,1,0,0,0\n" for step in range(5))

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from wlr_render.bench.session_folder import load_session
-from wlr_render.calibration.bench.station_file import load_station
+from wlr_render.calibration.bench.station_file import read_lens, read_station
 from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.camera_lens_file import load_lens
 from wlr_render.captures.capture_file import load_observations
@@ -71,7 +71,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "bench/display.csv.gz": lambda path: load_session(path.parent),
     "photos/session.toml": lambda path: load_photo_session(path.parent),
     "board.toml": load_board,
-    "calibration/station-right.json": load_station,
+    "calibration/station-right.json": lambda path: read_lens(read_station(path).table("eyeball_camera")),
     "lens.yaml": load_lens,
     "lens_ros.yaml": load_lens,
     "camchain.yaml": load_lens,

@@ -10,7 +10,7 @@ import pytest
 from present import as_number, narrowed
 from small_photo_session import SmallSession
 
-from wlr_render.calibration.bench.station_file import load_station
+from wlr_render.calibration.bench.station_file import read_lens, read_station
 from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
@@ -43,7 +43,9 @@ def test_a_known_displacement_is_measured(photo_session: SmallSession, pairs: Pa
     overall, each = report.tables
     assert [row[:2] for row in each.rows] == [["left", "traced"], ["left", "warped"]]
     medians = {row[0]: row[2] for row in overall.rows}
-    camera = narrowed(load_station(photo_session.out / "station-right.json").eyeball_camera, ResidualLens)
+    camera = narrowed(
+        read_lens(read_station(photo_session.out / "station-right.json").table("eyeball_camera")), ResidualLens
+    )
     middle = camera.centre_px
     one_shift = float(arcmin_between(camera.dir_of_pixel(middle), camera.dir_of_pixel(middle + [SHIFT_PX, 0.0])))
     assert as_number(medians["traced"]) < 0.01

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.bench.station_file import load_station
+from wlr_render.calibration.bench.station_file import read_lens, read_station
 from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.photographs import Photograph, photographs_in, read_photograph
 from wlr_render.errors import BadInputError
@@ -103,7 +103,7 @@ def verify(options: VerifyOptions, *, progress: ProgressArgument = SILENT) -> Re
 def _judge_pairs(folder: Path, board_file: Path, station: Path) -> list[JudgedPair]:
     """Compare NAME_off.png with every NAME_on.png or NAME_on_METHOD.png in the same folder."""
     photographs = photographs_in(folder)
-    board, camera = load_board(board_file), load_station(station).eyeball_camera
+    board, camera = load_board(board_file), read_lens(read_station(station).table("eyeball_camera"))
     off = {match["name"]: path for path in photographs if (match := _OFF.fullmatch(path.stem))}
     judged = []
     for path in photographs:

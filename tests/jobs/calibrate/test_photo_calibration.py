@@ -13,8 +13,8 @@ from present import narrowed, present
 from scipy.stats import chi2
 from small_photo_session import VIEWPOINTS, SmallSession, small_plan
 
+from benchmarks.simulated_lab.saved_station import load_station
 from wlr_render.bench.measurements import load_measurements
-from wlr_render.calibration.bench.station_file import load_station
 from wlr_render.calibration.calibrate_session import EyeCalibration, SessionCalibration
 from wlr_render.calibration.poses import Pose, motion_between
 from wlr_render.captures.capture_file import load_captures
