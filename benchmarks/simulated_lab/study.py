@@ -15,6 +15,7 @@ from benchmarks.simulated_lab.bench_trial import (
 )
 from benchmarks.simulated_lab.codes import code_table, code_trials
 from benchmarks.simulated_lab.lab_options import SimulatedLabOptions
+from benchmarks.simulated_lab.recipe_file import load_recipe
 from benchmarks.simulated_lab.registration import register
 from benchmarks.simulated_lab.session_truth import compare_with_truth, truth_tables
 from wlr_render.io.atomic_files import output_folder, write_text
@@ -25,7 +26,6 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.report.blocks import Block, Report, ReportTable
 from wlr_render.report.save import markdown, save_report
 from wlr_render.simulation.photographs.photo_bench import design_photo_bench
-from wlr_render.simulation.photographs.recipe import load_recipe
 from wlr_render.work.progress import SILENT, Progress
 
 _DEVICE = "freeform40"  # its panel has 1920 x 1080 pixels

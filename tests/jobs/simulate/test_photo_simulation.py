@@ -1,6 +1,5 @@
 """Sessions of photographs simulated: interrupted work goes on, and no folder is taken that holds something else."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from small_photo_session import SmallSession, state_lenses
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
-from wlr_render.simulation.photographs.recipe import load_recipe, save_recipe, values_of
 from wlr_render.simulation.photographs.simulate_photo_session import TakenPhotographs, simulate_photo_session
 from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, take
 
@@ -80,29 +78,6 @@ def test_a_real_session_is_never_written_into(photo_session: SmallSession) -> No
     ):
         simulate_photo_session(photo_session.folder, photo_session.recipe)
     assert (photo_session.folder / "session.toml").read_bytes() == before
-
-
-def test_a_recipe_is_read_as_it_was_written(photo_session: SmallSession, tmp_path: Path) -> None:
-    again = load_recipe(photo_session.folder)
-    assert values_of(again) | {"device": None} == values_of(photo_session.recipe) | {"device": None}
-    named = replace(photo_session.recipe, device="birdbath28", eye="left")
-    save_recipe(tmp_path, named)
-    assert load_recipe(tmp_path) == named
-
-
-@pytest.mark.parametrize(
-    ("pattern", "text", "complaint"),
-    [("snr = .*", "snr = 'much'", "'snr' must be a number"), ("seed", "sead", "key 'seed' is missing")],
-)
-def test_a_recipe_that_was_spoilt_is_refused(
-    photo_session: SmallSession, pattern: str, text: str, complaint: str
-) -> None:
-    path = photo_session.folder / "simulation.toml"
-    content = re.sub(pattern, text, path.read_text(encoding="utf-8"), count=1)
-    path.unlink()
-    path.write_text(content, encoding="utf-8")
-    with pytest.raises(BadInputError, match=complaint):
-        load_recipe(photo_session.folder)
 
 
 def test_what_is_not_known_is_refused_before_anything_is_written(photo_session: SmallSession, tmp_path: Path) -> None:

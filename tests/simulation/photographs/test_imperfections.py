@@ -1,8 +1,7 @@
 """Imperfections of the simulated bench: each has the size that is stated, and none of them is nothing."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields, replace
-from pathlib import Path
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, design_photo_bench
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_camera_poses
-from wlr_render.simulation.photographs.recipe import SimulationRecipe, load_recipe, save_recipe
 from wlr_render.simulation.photographs.take_photographs import blurred, veiling_glare
 
 NONE = BenchImperfections.none()
@@ -232,23 +230,6 @@ def test_stray_light_is_as_much_as_the_light_and_smooth() -> None:
     assert glare.shape == light.shape
     assert glare.sum() == pytest.approx(light.sum(), rel=0.02)
     assert glare.max() < 0.3
-
-
-def test_all_sizes_go_through_the_file(tmp_path: Path) -> None:
-    sizes = replace(BenchImperfections().scaled(0.5), lens="thin-prism")
-    recipe = SimulationRecipe("birdbath28", bench=PhotoBenchOptions(imperfections=sizes, stage="x"))
-    save_recipe(tmp_path, recipe)
-    assert load_recipe(tmp_path) == recipe
-    assert {each.name for each in fields(BenchImperfections)} == set(asdict(sizes))
-
-
-def test_an_old_file_means_a_perfect_bench_with_its_stage_error(tmp_path: Path) -> None:
-    save_recipe(tmp_path, SimulationRecipe("birdbath28"))
-    path = tmp_path / "simulation.toml"
-    kept, _, _ = path.read_text(encoding="utf-8").partition("[bench.imperfections]")
-    path.unlink()
-    path.write_text(kept.replace('stage = "xyz"', "stage_error_um = 2.5"), encoding="utf-8")
-    assert load_recipe(tmp_path).bench.imperfections == replace(NONE, repeatability_um=2.5)
 
 
 def test_the_stage_errors_vanish_at_reading_zero() -> None:

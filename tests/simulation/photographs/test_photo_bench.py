@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from wlr_render.simulation.photographs.photo_bench import (
     target_at,
 )
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, unreadable_targets
-from wlr_render.simulation.photographs.recipe import SimulationRecipe, load_recipe, save_recipe
 
 OPTIONS = PhotoBenchOptions(camera_px=(640, 512), imperfections=BenchImperfections.none())
 
@@ -180,16 +178,3 @@ def test_pictures_too_small_to_identify_a_near_board_are_named() -> None:
     assert any(
         "dots of 2" in each and "tracking camera's pictures of 240" in each for each in said((640, 512), (240, 180))
     )
-
-
-def test_a_recipe_from_before_volumetric_sessions_is_read(tmp_path: Path) -> None:
-    path = save_recipe(tmp_path, SimulationRecipe("birdbath28"))
-    later = ("sampling", "stated_axes_deg", "tracking_px")
-    kept = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith(later)]
-    path.unlink()
-    path.write_text("\n".join(kept), encoding="utf-8")
-    assert load_recipe(tmp_path) == SimulationRecipe("birdbath28")
-    path.unlink()
-    other = SimulationRecipe("birdbath28", bench=PhotoBenchOptions(sampling="volumetric", tracking_px=(800, 600)))
-    save_recipe(tmp_path, other)
-    assert load_recipe(tmp_path) == other

@@ -15,7 +15,6 @@ from wlr_render.simulation.photographs.board_light import BoardLight
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, design_photo_bench
 from wlr_render.simulation.photographs.photo_plan import later_visits, plan_photographs, true_camera_poses
-from wlr_render.simulation.photographs.recipe import SimulationRecipe, load_recipe, save_recipe, values_of
 
 NONE = BenchImperfections.none()
 
@@ -119,15 +118,6 @@ def test_later_visits_are_those_of_a_warm_camera(bench: PhotoBench, perfect: Pho
     ]
     np.testing.assert_allclose(turn[0], turn[1], atol=1e-12)
     assert np.abs(turn[0] - np.eye(3)).max() > 1e-6
-
-
-def test_the_recipe_states_the_family(tmp_path: Path) -> None:
-    options = PhotoBenchOptions((640, 512), family="workshop")
-    recipe = SimulationRecipe("plane_plate", bench=options)
-    save_recipe(tmp_path, recipe)
-    assert load_recipe(tmp_path) == recipe
-    other = replace(recipe, bench=replace(options, family="polynomial"))
-    assert (values_of(recipe)["family"], values_of(other)["family"]) == ("workshop", "polynomial")
 
 
 def test_sizes_of_polynomials_are_refused_with_a_workshop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
