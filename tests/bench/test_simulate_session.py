@@ -136,7 +136,9 @@ class TestClosedForms:
         camera = replace(bench_with("no_optics").camera, distortion=np.array([-0.3, 0.0]))
         fold = np.sqrt(1.0 / 0.9)
         edge = camera.pixel_of_tangents(np.array([[0.99 * fold, 0.0], [0.5, 0.0]]))
-        beyond = camera.centre_px + 1.2 * (camera.pixel_of_tangents(np.array([[fold, 0.0]])) - camera.centre_px)
+        rim = camera.pixel_of_tangents(np.array([[fold - 1e-9, 0.0]]))
+        assert np.isfinite(rim).all()
+        beyond = camera.centre_px + 1.2 * (rim - camera.centre_px)
         np.testing.assert_allclose(camera.tangents_of_pixel(edge)[:, 0], [0.99 * fold, 0.5], atol=1e-8)
         assert np.isnan(camera.tangents_of_pixel(beyond)).all()
 

@@ -6,7 +6,7 @@ defaults of all parts describe a perfect bench.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import Annotated
 
 import numpy as np
@@ -16,6 +16,7 @@ from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.pose_keys import ROTATION, pose_keys
 from wlr_render.io.file_records import CAMERA_PIXEL, ELSEWHERE, LENGTH, MATRIX, POINT, TURN, Key, Keys, Quantity, Rule
 from wlr_render.io.input_files import LIMITS
+from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 
@@ -33,10 +34,6 @@ _POSE = pose_keys(_ROTATION, Key("translation", POINT, shape=(3,), most=1e5))
 
 def _pair(first: Key, second: Key) -> Keys:
     return Keys((first, second), lambda *pair: np.array(pair, dtype=np.float64), lambda pair: pair)
-
-
-_NEWTON_STEPS = 20
-_NEWTON_ERROR = 1e-12  # largest error of the distorted radius, tangents
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,39 +59,21 @@ class EyeballCamera:
     device_from_camera: Annotated[FloatArray, _ROTATION] = field(default_factory=_UNIT_3)
     pupil_offset: Annotated[FloatArray, _point("pupil_offset_mm")] = field(default_factory=_ZERO_3)
 
+    @cached_property
+    def _lens(self) -> LensCamera:
+        """The lens, whose y axis points down."""
+        width, height = self.size_px
+        return LensCamera(
+            (int(width), int(height)), self.focal_px, self.centre_px, np.append(self.distortion, np.zeros(3))
+        )
+
     def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
-        """Return the pixels (n, 2) of tangents (n, 2) in the camera frame, y up."""
-        square = np.sum(tangents * tangents, axis=-1, keepdims=True)
-        k1, k2 = self.distortion
-        distorted = tangents * (1.0 + square * (k1 + k2 * square))
-        return np.asarray(distorted * (self.focal_px * [1.0, -1.0]) + self.centre_px)
+        """Return the pixels (n, 2) of tangents (n, 2) in the camera frame, y up; NaN where the lens cannot see."""
+        return self._lens.pixel_of_tangents(tangents * [1.0, -1.0])
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Return the tangents (n, 2) of pixels (n, 2), by Newton's method on the radius; NaN if the lens has none."""
-        distorted = (pixel - self.centre_px) / (self.focal_px * [1.0, -1.0])
-        k1, k2 = self.distortion
-        if k1 == 0.0 and k2 == 0.0:
-            return np.asarray(distorted)
-        distorted_radius = np.linalg.norm(distorted, axis=-1)
-        radius = distorted_radius.copy()
-        for _ in range(_NEWTON_STEPS):
-            square = radius * radius
-            excess = radius * (1.0 + square * (k1 + k2 * square)) - distorted_radius
-            growth = 1.0 + square * (3.0 * k1 + 5.0 * k2 * square)
-            with np.errstate(all="ignore"):  # a barrel lens has no solution beyond its largest radius
-                radius = radius - excess / growth
-        square = radius * radius
-        factor = 1.0 + square * (k1 + k2 * square)
-        # Solutions beyond the first radius at which the picture folds over are not valid for this lens.
-        valid = (np.abs(radius * factor - distorted_radius) < _NEWTON_ERROR) & (radius >= 0) & (radius < self._fold)
-        return np.where(valid[..., None], distorted / np.where(valid, factor, 1.0)[..., None], np.nan)
-
-    @property
-    def _fold(self) -> float:
-        """Tangent from which the distorted radius decreases; infinite where it never does."""
-        k1, k2 = self.distortion
-        squares = np.roots([5.0 * k2, 3.0 * k1, 1.0])
-        return float(np.sqrt(min([np.inf, *squares.real[(squares.imag == 0) & (squares.real > 0)]])))
+        """Return the tangents (n, 2) of pixels (n, 2), y up; NaN where the lens has none."""
+        return self._lens.tangents_of_pixel(pixel) * [1.0, -1.0]
 
     def view_dir_of_pixel(self, pixel: FloatArray) -> FloatArray:
         """Return the unit directions (n, 3) of pixels (n, 2) in the device frame, before any slip."""
