@@ -49,11 +49,6 @@ class Pose:
     b_from_a: FloatArray
     covariance: FloatArray
 
-    def __matmul__(self, a_from_o: "Pose") -> "Pose":
-        """b_from_o of this b_from_a and an a_from_o whose errors have nothing to do with its own."""
-        covariance = self.covariance + _carried(adjoint(self.b_from_a), a_from_o.covariance)
-        return Pose(self.b_from_a @ a_from_o.b_from_a, covariance)
-
     @property
     def sigma_arcmin(self) -> FloatArray:
         """(3,) standard deviations of the rotation about the axes of b."""
@@ -63,12 +58,4 @@ class Pose:
     def sigma_mm(self) -> FloatArray:
         """(3,) standard deviations of where the origin of a lies, along the axes of b."""
         by_motion = np.concatenate([-transforms.cross_matrix(self.b_from_a[:3, 3]), np.eye(3)], axis=1)
-        return 1e3 * np.sqrt(np.diag(_carried(by_motion, self.covariance)))
-
-
-def _carried(by: FloatArray, covariance: FloatArray) -> FloatArray:
-    return _symmetric(by @ covariance @ by.T)
-
-
-def _symmetric(matrix: FloatArray) -> FloatArray:
-    return np.asarray(0.5 * (matrix + matrix.T))
+        return 1e3 * np.sqrt(np.diag(by_motion @ self.covariance @ by_motion.T))
