@@ -5,7 +5,9 @@ of the headset: never the exact device, whose parts stand elsewhere and whose su
 prescription does not explain is left to the fit of the model.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,6 +31,7 @@ from wlr_render.optics.tracer import trace
 
 Prescription = EyeOptics
 """The optics of one eye as drawn; other modules of calibration take it from here."""
+_Residual = Callable[[EyeOptics], FloatArray]
 
 _READINGS = 2500  # readings of the display, and as many of see-through: far more than twelve numbers need
 _ROUNDS = 6
@@ -80,29 +83,29 @@ def fit_assembly(captures: Captures, optics: EyeOptics) -> FittedAssembly:
         BadInputError: many readings have no ray through the prescription, or it explains the readings badly and only
             with an assembly error that is implausibly large.
     """
-    parts: list[_DisplayReadings | _SeeThroughReadings] = []
+    parts: list[_Residual] = []
     if captures.display is not None:
-        parts.append(_DisplayReadings.of(captures.display, optics))
+        parts.append(_display_residual(_thinned(captures.display), optics))
     if captures.see_through is not None:
-        parts.append(_SeeThroughReadings(_thinned(captures.see_through)))
+        parts.append(partial(_see_through_residual, _thinned(captures.see_through)))
     scaled = np.zeros(len(ASSEMBLY_NAMES))
-    sizes = [_robust_size(part.residual(optics)) for part in parts]
+    sizes = [_robust_size(part(optics)) for part in parts]
     for _ in range(_ROUNDS):
 
         def residual(scaled: FloatArray, sizes: list[float] = sizes) -> FloatArray:
             changed = assembled(optics, ASSEMBLY_SIZES * scaled)
-            found = [part.residual(changed) / size for part, size in zip(parts, sizes, strict=True)]
+            found = [part(changed) / size for part, size in zip(parts, sizes, strict=True)]
             return np.concatenate([*(np.nan_to_num(each, nan=_LOST) for each in found), scaled])
 
         solution = least_squares(
             residual, scaled, loss=_loss, f_scale=2.0, diff_step=1e-5, xtol=1e-6, ftol=1e-8, max_nfev=_EVALUATIONS
         )
         scaled, fitted = solution.x, assembled(optics, ASSEMBLY_SIZES * solution.x)
-        before, sizes = sizes, [_robust_size(part.residual(fitted)) for part in parts]
+        before, sizes = sizes, [_robust_size(part(fitted)) for part in parts]
         if np.allclose(sizes, before, rtol=_SETTLED):
             break
     for part in parts:
-        _check_reached(part.residual(fitted), captures.source.device)
+        _check_reached(part(fitted), captures.source.device)
     if max(sizes) > _EXPLAINED_ARCMIN * ARCMIN and max(sizes) > _EXPLAINED * _stated_sigma(captures) * ARCMIN:
         _check_plausible(scaled, captures.source.device)
     covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(ASSEMBLY_SIZES, ASSEMBLY_SIZES)
@@ -170,48 +173,30 @@ def _trend(assembly: FittedAssembly, compiled: CompiledMap) -> Trend:
     return about_fitted.about(-assembly.values / ASSEMBLY_SIZES, np.eye(count))
 
 
-@dataclass(frozen=True, eq=False)
-class _DisplayReadings:
-    """Display captures as residuals.
+def _display_residual(captures: DisplayCaptures, optics: EyeOptics) -> _Residual:
+    """Return the function of optics that gives angles (2 n,) in radians from measured pixels to those of the rays.
 
-    Attributes:
-        captures: a part of all.
-        tangents_by_pixel: (n, 2, 2) of the prescription, NaN where it has no ray: turns residuals into angles.
+    NaN without a ray. Angles are by the prescription `optics`.
     """
+    steps = _TANGENT_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])[:, None]
+    directions = dir_of_tangents(captures.tangents + steps)
+    pixel, _ = TracedDisplay(optics, GREEN_UM).plane_pixel(directions, captures.viewpoint)
+    by_tangents = np.moveaxis(pixel[1:] - pixel[0], 0, -1) / _TANGENT_STEP
+    by_tangents[~np.isfinite(by_tangents).all(axis=(1, 2))] = np.nan
+    tangents_by_pixel = np.linalg.inv(by_tangents)
 
-    captures: DisplayCaptures
-    tangents_by_pixel: FloatArray
+    def residual(optics: EyeOptics) -> FloatArray:
+        found, _ = TracedDisplay(optics, GREEN_UM).plane_pixel(captures.view_dir, captures.viewpoint)
+        return _angles(np.einsum("nij,nj->ni", tangents_by_pixel, found - captures.pixel), captures.tangents)
 
-    @classmethod
-    def of(cls, captures: DisplayCaptures, optics: EyeOptics) -> "_DisplayReadings":
-        captures = _thinned(captures)
-        display = TracedDisplay(optics, GREEN_UM)
-        steps = _TANGENT_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])[:, None]
-        pixel, _ = display.plane_pixel(dir_of_tangents(captures.tangents + steps), captures.viewpoint)
-        by_tangents = np.moveaxis(pixel[1:] - pixel[0], 0, -1) / _TANGENT_STEP
-        by_tangents[~np.isfinite(by_tangents).all(axis=(1, 2))] = np.nan
-        return cls(captures, np.linalg.inv(by_tangents))
-
-    def residual(self, optics: EyeOptics) -> FloatArray:
-        """Angles (2 n,) in radians from the measured pixels to those of the measured rays; NaN without a ray."""
-        found, _ = TracedDisplay(optics, GREEN_UM).plane_pixel(self.captures.view_dir, self.captures.viewpoint)
-        change = np.einsum("nij,nj->ni", self.tangents_by_pixel, found - self.captures.pixel)
-        return _angles(change, self.captures.tangents)
+    return residual
 
 
-@dataclass(frozen=True, eq=False)
-class _SeeThroughReadings:
-    """See-through captures as residuals."""
-
-    captures: SeeThroughCaptures
-
-    def residual(self, optics: EyeOptics) -> FloatArray:
-        """Angles (2 n,) in radians, seen from the viewpoint, by which world rays pass the points; NaN without a ray."""
-        captures = self.captures
-        seen = trace(optics.see_through, captures.viewpoint, captures.view_dir, GREEN_UM)
-        past = BasePlane(0.0).carry(seen.origin - captures.point, tangents_of_dir(seen.direction))
-        depth = captures.viewpoint[:, 2:] - captures.point[:, 2:]
-        return _angles(past / depth, captures.tangents)
+def _see_through_residual(captures: SeeThroughCaptures, optics: EyeOptics) -> FloatArray:
+    """Return angles (2 n,) in radians, seen from the viewpoint, by which world rays miss points; NaN without ray."""
+    seen = trace(optics.see_through, captures.viewpoint, captures.view_dir, GREEN_UM)
+    past = BasePlane(0.0).carry(seen.origin - captures.point, tangents_of_dir(seen.direction))
+    return _angles(past / (captures.viewpoint[:, 2:] - captures.point[:, 2:]), captures.tangents)
 
 
 def _angles(change: FloatArray, tangents: FloatArray) -> FloatArray:
