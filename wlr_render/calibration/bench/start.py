@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from wlr_render import usual
 from wlr_render.calibration.bench.bench_blocks import (
@@ -116,7 +117,8 @@ def board_pose(lens: Lens, view: BoardView) -> tuple[FloatArray, float]:
     direction = lens.dir_of_pixel(view.pixel)
     seen = np.isfinite(direction).all(axis=1)
     # A camera turned towards the board sees all of it less than 90 degrees off axis, wherever the lens looks.
-    ahead = _turn_to(direction[seen].sum(axis=0) if seen.any() else np.array([0.0, 0.0, 1.0]))
+    middle = direction[seen].sum(axis=0) if seen.any() else np.array([0.0, 0.0, 1.0])
+    ahead = Rotation.align_vectors([[0.0, 0.0, 1.0]], middle[None])[0].as_matrix()
     direction = direction @ ahead.T
     good = seen & (direction[:, 2] > _LEAST_COSINE)
     if np.count_nonzero(good) < 4:
@@ -139,16 +141,6 @@ def board_pose(lens: Lens, view: BoardView) -> tuple[FloatArray, float]:
     if len(near) > 1:
         near = [min((_refined(lens, pose, few) for pose in near), key=lambda each: each[1])[0]]
     return _refined(lens, near[0] if near else poses[0], view)
-
-
-def _turn_to(direction: FloatArray) -> FloatArray:
-    """(3, 3) the smallest rotation that carries a direction (3,) to the z axis."""
-    unit = direction / np.linalg.norm(direction)
-    axis = np.cross(unit, [0.0, 0.0, 1.0])
-    length = float(np.linalg.norm(axis))
-    if length < 1e-12:
-        return np.eye(3) if unit[2] > 0 else np.diag([1.0, -1.0, -1.0])
-    return transforms.rotations_of_vectors(axis * (np.arctan2(length, unit[2]) / length))
 
 
 def _refined(lens: Lens, pose: FloatArray, view: BoardView, steps: int = _STEPS) -> tuple[FloatArray, float]:

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import qmc
 
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
@@ -92,16 +93,7 @@ def _even_samples(count: int) -> FloatArray:
     shape = (_CANDIDATES if count <= 32 else _CANDIDATES // 20, half, 4)
     one_side = rng.permuted(np.broadcast_to(levels[:, None], shape), axis=1) * rng.choice([-1.0, 1.0], shape)
     sets = np.concatenate([one_side, np.zeros((shape[0], odd, 4)), -one_side], axis=1)
-    return np.asarray(min(sets, key=_discrepancy))
-
-
-def _discrepancy(points: FloatArray) -> float:
-    """Return the squared centred L2 discrepancy of points (n, 4) in -0.5..0.5, less its constant part."""
-    from_middle = np.abs(points)
-    apart = np.abs(points[:, None] - points)
-    single = np.prod(1.0 + 0.5 * from_middle - 0.5 * from_middle**2, axis=-1)
-    pairs = np.prod(1.0 + 0.5 * (from_middle[:, None] + from_middle - apart), axis=-1)
-    return float(pairs.mean() - 2.0 * single.mean())
+    return np.asarray(min(sets, key=lambda points: qmc.discrepancy(points + 0.5)))
 
 
 def _disc_of_square(square: FloatArray) -> FloatArray:
