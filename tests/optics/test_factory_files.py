@@ -228,6 +228,14 @@ def put(content: Content, value: Any, *keys: Any) -> Content:
         (put(wmr(), [0.0] * 9, "CalibrationInformation", "Displays", 0, "Affine"), "'Affine' has no inverse"),
         (put(wmr(), [1.0], "CalibrationInformation", "Displays", 0, "DistortionRed", "ModelParameters"), "5 numbers"),
         (put(xreal(), [0.0] * 4, "display", "target_q_left_display"), "unit quaternion"),
+        (put(xreal(), -2705.0, "display", "k_right_display", 0), "focal lengths -2705 and 2675; they must be positive"),
+        (put(xreal(), [0.0, 1.0, 0.0, 0.0], "display", "target_q_right_display"), "179 degrees from straight ahead"),
+        (put(xreal(), 90000.0, "display", "k_right_display", 2), "89 degrees from straight ahead"),
+        (put(xreal(), -0.07, "display", "target_p_right_display", 0), "right eye to the left of the left one"),
+        (
+            put(xreal(), 1900.0, "display_distortion", "right_display", "data", 4 * 61 * 3 + 6),
+            "the points of 'data' fold over or are mirrored",
+        ),
         (put(xreal(), [1.0], "display_distortion", "left_display", "data"), "'data' has 1 numbers"),
         (
             put(xreal(), [0.0] * 8540, "display_distortion", "right_display", "data"),

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid, rotation_of_quaternion
 from wlr_render.io.input_files import LIMITS, read_bytes, require_pixels
 from wlr_render.io.toml_files import Table, read_json
@@ -37,6 +38,7 @@ _EYE_BOX_M = np.array([8e-3, 6e-3, 4e-3])
 _SIDES = ("left", "right")
 _NORTH_STAR_PX = (1440, 1600)
 _MOST_APART_M = 0.1  # of an eye from the middle
+_LEAST_AHEAD = 0.5  # cosine of the angle between the middle of a display and straight ahead
 _NO_DISTORTION = np.zeros(4)
 
 
@@ -80,8 +82,18 @@ def load_factory_eyes(path: str | Path, eye: str) -> tuple[Eye, ...]:
     place = found.place - middle
     if np.linalg.norm(place) > _MOST_APART_M:
         raise table.fail(f"places the eyes {2e3 * float(np.linalg.norm(place)):.0f} mm apart; correct their poses.")
+    if place[0] * (1.0 if eye == "right" else -1.0) < 0:
+        raise table.fail("places the right eye to the left of the left one; exchange or correct their poses.")
     require_pixels(str(path), found.panel.size_px, "correct the size of the panel")
     pose = display_pose(found.rotation, place)
+    for each in found.tangents:
+        ahead = -pose[2, :3] @ normalised(np.append(each(0.5 * found.panel.size_px), 1.0))
+        if not ahead > _LEAST_AHEAD:
+            off_deg = np.degrees(np.arccos(ahead))
+            raise table.fail(
+                f"shows the middle of the {eye} display {off_deg:.0f} degrees from straight ahead; correct its pose "
+                "and its centre."
+            )
     box = EyeBox(pose[:3, 3], _EYE_BOX_M)
     image = PlacedPanel(pose @ rigid(np.eye(3), np.array([0.0, 0.0, IMAGE_M])), np.full(2, IMAGE_M), found.panel)
     world = TracedSeeThrough(EyeOptics(RayPath(), RayPath(), image, box), GREEN_UM)
@@ -187,6 +199,7 @@ def _xreal_grid(grid: Table, plane: FloatArray) -> GridTangents:
     regular = np.allclose(data[..., 0], u, atol=0.01) and np.allclose(data[..., 1], v[:, None], atol=0.01)
     if not regular or np.diff(u).min() <= 0 or np.diff(v).min() <= 0:
         raise grid.fail("the points of 'data' do not form a grid of ascending rows and columns; correct them.")
+    _require_unfolded(grid, "data", data[..., 2:])
     return GridTangents(u, v, data[..., 2:], plane)
 
 
@@ -202,10 +215,18 @@ def _north_star(table: Table) -> dict[str, _Calibrated]:
             grid = np.full((rows, columns, 2), np.nan)
         if not np.isfinite(grid).all():
             raise eye.fail(f"'grid' must be {rows} rows of {columns} pairs of numbers; write the file again.")
+        _require_unfolded(eye, "grid", grid)
         u, v = (np.linspace(0.0, size, count) for size, count in zip(panel.size_px, (columns, rows), strict=True))
         tangents = GridTangents(u, v, grid, np.eye(3))
         eyes[side] = _Calibrated(panel, np.eye(3), np.array([sign * half_m, 0.0, 0.0]), (tangents,))
     return eyes
+
+
+def _require_unfolded(table: Table, key: str, point: FloatArray) -> None:
+    """Refuse points (rows, columns, 2) of which a cell is mirrored: it would show one direction twice."""
+    along, down = np.diff(point, axis=1)[:-1], np.diff(point, axis=0)[:, :-1]
+    if np.min(along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]) <= 0:
+        raise table.fail(f"the points of '{key}' fold over or are mirrored; correct them.")
 
 
 def _rotation(table: Table, key: str, matrix: FloatArray) -> FloatArray:
@@ -219,6 +240,8 @@ def _inverse(table: Table, key: str) -> FloatArray:
     matrix = table.vector(key, 9).reshape(3, 3)
     if abs(np.linalg.det(matrix)) < 1e-9:
         raise table.fail(f"'{key}' has no inverse; correct it.")
+    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
+        raise table.fail(f"'{key}' has the focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g}; they must be positive.")
     return np.linalg.inv(matrix).astype(np.float64)
 
 
