@@ -15,7 +15,7 @@ from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.patterns.show_page import write_show_page
 from wlr_render.captures.photograph_format import PhotographFormat
-from wlr_render.captures.photographs import write_photograph
+from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Panel
 
@@ -47,6 +47,13 @@ def photographed(
         paths[-1].parent.mkdir(exist_ok=True)
         write_photograph(paths[-1], np.clip(np.round(grey), 0, 255).astype(np.uint8))
     return paths
+
+
+def changed(paths: list[Path], change: Callable[[NDArray[np.float64], int], NDArray[np.float64]]) -> None:
+    """Change photographs after the fact; `change` gets the grey values and the place in the order of taking."""
+    for number, path in enumerate(paths):
+        grey = change(read_photograph(path, KIND).astype(np.float64), number)
+        write_photograph(path, np.clip(np.round(grey), 0, 255).astype(np.uint8))
 
 
 def decoded(files: CodeFiles, pattern: Pattern) -> Decoded:
@@ -126,4 +133,40 @@ def test_whites_that_cannot_be_compared_are_refused(tmp_path: Path, toy_camera: 
         decoded(find_code_files(tmp_path / "set", pattern.names()), pattern)
     paths[1].unlink()
     with pytest.raises(BadInputError, match="need the first white and black"):
+        decoded(find_code_files(tmp_path / "set", pattern.names()), pattern)
+
+
+def lamp(grey: NDArray[np.float64], number: int) -> NDArray[np.float64]:
+    """A lamp of the room that flickers, on the left more than on the right."""
+    size = 30.0 * np.random.default_rng(number).uniform()
+    return grey + size * np.linspace(1.0, 0.3, grey.shape[1])
+
+
+def lamp_off_once(grey: NDArray[np.float64], number: int) -> NDArray[np.float64]:
+    return grey + 20.0 * (number != 10)
+
+
+def bands(grey: NDArray[np.float64], number: int) -> NDArray[np.float64]:
+    """Bands of a rolling shutter that drift from photograph to photograph."""
+    turn = np.linspace(0.0, 1.4, grey.shape[0])[:, None] + np.random.default_rng(number).uniform()
+    return 10.0 + (grey - 10.0) * (1.0 + 0.15 * np.sin(2 * np.pi * turn))
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lamp, "of white (brighter|darker) than 'black' where the panel lights nothing: other light has changed"),
+        (lamp_off_once, "photograph 'u fringe .*' is 1[3-5]% of white darker than 'black' where the panel lights"),
+        (bands, "differs from the first by a light that changes by .*% rms across the picture, as bands of a rolling"),
+    ],
+)
+def test_light_that_gains_do_not_describe_is_refused(
+    change: Callable[[NDArray[np.float64], int], NDArray[np.float64]],
+    sentence: str,
+    tmp_path: Path,
+    toy_camera: Callable[..., Any],
+) -> None:
+    pattern, camera = make_pattern("fringes", PANEL), toy_camera(PANEL, white=150.0)
+    changed(photographed(tmp_path, camera, pattern, size=0.0), change)
+    with pytest.raises(BadInputError, match=sentence):
         decoded(find_code_files(tmp_path / "set", pattern.names()), pattern)

@@ -3,7 +3,8 @@
 The white photographs tell how the light drifts, by interpolation in time. A picture i and its inverse j tell their own
 gains: of relative light r = (photograph - black) / (white - black), a pixel has r_i / g_i + r_j / g_j = 1 whatever it
 sees. Least squares over many pixels finds both, with the drift as their prior: a blurred pair, which is grey all over,
-tells their mean alone. Light that the panel does not make, such as a lamp in the room, has no gain and is not repaired.
+tells their mean alone. Light that the panel does not make, such as a lamp in the room, has no gain: where it changes
+the pixels that the panel does not light, the set is refused, and so are whites whose light differs across the picture.
 """
 
 import re
@@ -20,10 +21,14 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _PIXELS = 20_000  # well-lit pixels that gains are taken from
 _WELL_LIT = 0.5  # contrast of these pixels relative to the brightest twentieth
+_UNLIT, _LEAST_UNLIT = 0.03, 200  # contrast, in the same unit, of pixels that tell other light, and their least number
+_OTHER_LIGHT = 0.03  # largest change of other light over the contrast of well-lit pixels
+_BLOCKS, _UNEVEN = 16, 0.03  # bands of rows or columns of the picture, and their largest rms spread of the gain
 _FLICKER = 0.1  # prior sigma of a picture's gain about the drift
 _GREY = 0.02  # least sigma of a pixel's relative light: gamma, and light scattered from other pixels
 _COUNTED = 100  # independent pixels, as many as count: neighbours see one stripe
 _OUTLIER = 4.0  # in robust standard deviations
+_WHITE_AGAIN = "a white photograph taken again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +69,61 @@ class LightGains:
         return f"{said}: the pictures were scaled to one light{rest}. The noise that remains is in the sigmas."
 
 
+@dataclass(frozen=True, eq=False)
+class _Panel:
+    """The first white and black photographs, (h, w), and what they show.
+
+    Attributes:
+        black, contrast: black, and white less black.
+        bright: contrast of the brightest twentieth of the pixels.
+        rows: (n,) flat indices of well-lit pixels.
+        unlit: (h, w) pixels that the panel does not light.
+    """
+
+    black: FloatArray
+    contrast: FloatArray
+    bright: float
+    rows: IntArray
+    unlit: BoolArray
+
+    @classmethod
+    def of(cls, white: CodeImage, black: CodeImage, end_of_scale: float) -> "_Panel":
+        """Compare both; `BadInputError` if the panel was off."""
+        contrast = white.astype(np.float64) - black
+        bright = float(np.percentile(contrast, 95))
+        lit = (contrast > _WELL_LIT * bright) & (contrast > 0) & (white < end_of_scale)
+        rows = np.flatnonzero(lit)[:: max(1, int(np.count_nonzero(lit)) // _PIXELS)]
+        if not rows.size:
+            raise BadInputError("white is nowhere brighter than black; was the panel on?")
+        return cls(black.astype(np.float64), contrast, bright, rows, np.abs(contrast) < _UNLIT * bright)
+
+    def relative(self, image: CodeImage, name: str) -> FloatArray:
+        """Return the light (n,) of a picture at well-lit pixels, relative to the first white and black."""
+        if image.shape != self.contrast.shape:
+            raise BadInputError(
+                f"a photograph has {image.shape} pixels, the first one {self.contrast.shape}; take it again."
+            )
+        change = image - self.black
+        light = change.ravel()[self.rows] / self.contrast.ravel()[self.rows]
+        if name == _WHITE_AGAIN and np.median(light) <= 0:
+            raise BadInputError(f"{name} is no brighter than black; take it again, or leave it out.")
+        if np.count_nonzero(self.unlit) >= _LEAST_UNLIT:
+            self._require_dark_room(change[self.unlit], name)
+        return np.asarray(light)
+
+    def _require_dark_room(self, change: FloatArray, name: str) -> None:
+        """Refuse a picture that differs from black, by `change` at unlit pixels, more than scattered light does."""
+        low, high = np.sort([0.0, np.median(self.contrast[self.unlit])])
+        now = float(np.median(change))
+        excess = (now - float(np.clip(now, low, high))) / self.bright
+        if abs(excess) > _OTHER_LIGHT:
+            raise BadInputError(
+                f"{name} is {abs(excess):.0%} of white {'brighter' if excess > 0 else 'darker'} than 'black' where the "
+                "panel lights nothing: other light has changed, which is not repaired; take the set again in a dark "
+                "room."
+            )
+
+
 def light_gains(
     pictures: Iterable[CodeImage | None],
     whites: Iterable[CodeImage],
@@ -82,30 +142,23 @@ def light_gains(
         end_of_scale: value from which a pixel is saturated.
 
     Raises:
-        BadInputError: the first white or black is missing, a photograph has another size, or the panel was off in one.
+        BadInputError: the first white or black is missing, a photograph has another size, the panel was off in one, or
+            the light changed in a way that gains do not describe.
     """
     source = iter(pictures)
     white, black = next(source), next(source)
     if white is None or black is None:
         raise BadInputError("white photographs taken again need the first white and black; take these again.")
-    contrast = white.astype(np.float64) - black
-    lit = (contrast > _WELL_LIT * np.percentile(contrast, 95)) & (contrast > 0) & (white < end_of_scale)
-    rows = np.flatnonzero(lit)[:: max(1, int(np.count_nonzero(lit)) // _PIXELS)]
-    if not rows.size:
-        raise BadInputError("white is nowhere brighter than black; was the panel on?")
-
-    def relative(image: CodeImage) -> FloatArray:
-        if image.shape != contrast.shape:
-            raise BadInputError(
-                f"a photograph has {image.shape} pixels, the first one {contrast.shape}; take it again."
-            )
-        return np.asarray((image.ravel()[rows].astype(np.float64) - black.ravel()[rows]) / contrast.ravel()[rows])
-
-    of_white = [float(np.median(relative(each))) for each in whites]
-    if min(of_white) <= 0:
-        raise BadInputError("a white photograph taken again is no brighter than black; take it again, or leave it out.")
-    light = [np.ones(rows.size), np.zeros(rows.size)]
-    light += [np.full(rows.size, np.nan) if each is None else relative(each) for each in source]
+    panel = _Panel.of(white, black, end_of_scale)
+    again = [panel.relative(each, _WHITE_AGAIN) for each in whites]
+    of_white = [float(np.median(each)) for each in again]
+    for each, middle in zip(again, of_white, strict=True):
+        _require_even(each / middle, np.unravel_index(panel.rows, white.shape))
+    light = [np.ones(panel.rows.size), np.zeros(panel.rows.size)]
+    light += [
+        np.full(panel.rows.size, np.nan) if each is None else panel.relative(each, f"photograph '{name}'")
+        for each, name in zip(source, names[2:], strict=False)
+    ]
     drift = _drift(np.append(taken[0], taken_white), np.append(1.0, of_white), taken)
     gain, known = drift.copy(), np.zeros(len(names), dtype=bool)
     for one, other in inverse_pairs(names):
@@ -116,7 +169,20 @@ def light_gains(
     flicker = float(np.sqrt(np.mean(np.log(gain[known] / drift[known]) ** 2))) if known.any() else np.nan
     unpaired = int(np.sum(~known[2:] & (taken[2:] >= 0)))
     ends = min(of_white + [1.0]), max(of_white + [1.0])
-    return LightGains(gain, black.astype(np.float64), end_of_scale, ends, flicker, unpaired)
+    return LightGains(gain, panel.black, end_of_scale, ends, flicker, unpaired)
+
+
+def _require_even(gain: FloatArray, place: tuple[IntArray, ...]) -> None:
+    """Refuse relative gains (n,) at rows and columns of the picture, `place`, that differ from band to band."""
+    for along in place:
+        band = along * _BLOCKS // (int(along.max()) + 1)
+        middle = [float(np.median(gain[band == number])) for number in np.unique(band)]
+        if (spread := float(np.std(middle))) > _UNEVEN:
+            raise BadInputError(
+                f"{_WHITE_AGAIN} differs from the first by a light that changes by {spread:.0%} rms across the "
+                "picture, as bands of a rolling shutter do, which is not repaired; expose for whole periods of the "
+                "flicker."
+            )
 
 
 def inverse_pairs(names: Sequence[str]) -> list[tuple[int, int]]:
