@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from benchmarks.accuracy import wanted
+from benchmarks.accuracy.lab_errors import LAB_SWITCHES
 from benchmarks.accuracy.lab_statements import SHARED
 from benchmarks.accuracy.labs import LabTruth, Places, lab_captures
 from benchmarks.intervals import interval_percent
@@ -21,7 +22,6 @@ from wlr_render.evaluation.mapping_error import display_error, see_through_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
-from wlr_render.simulation.workshop import SWITCHES
 
 SIDES = ("display", "see-through")
 SHARES = (0.68, 0.95)
@@ -60,7 +60,7 @@ class LabTrial(Trial):
 
     def run(self, seed: int) -> Outcome:
         """Fit and evaluate."""
-        switches = [name for name in SWITCHES if name not in self.without]
+        switches = [name for name in LAB_SWITCHES if name not in self.without]
         captures, truth = lab_captures(
             self.device,
             self.level,

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from benchmarks.accuracy.lab_errors import LAB_SWITCHES, LabWorkshop
 from benchmarks.accuracy.lab_statements import SHARED, with_common, with_motion
 from benchmarks.accuracy.workshop_captures import display_captures, see_through_captures
 from benchmarks.trials import EvaluatedEye, capture_setup, display_observations, see_through_observations
@@ -17,7 +18,6 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation.mapping_error import DisplayObservations, SeeThroughObservations
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.simulation.workshop import SWITCHES, Workshop
 
 Places = Literal["raster", "planned"]
 DEPTHS_M, GRID = (0.6, 1.0, 1.7), (22, 18)
@@ -36,7 +36,7 @@ class LabTruth:
         bumped: numbers of the camera positions at which the camera was bumped, in the first sweep.
     """
 
-    workshop: Workshop
+    workshop: LabWorkshop
     shown: DisplayObservations
     seen: SeeThroughObservations
     bumped: IntArray
@@ -48,7 +48,7 @@ def lab_captures(
     seed: int = 1,
     positions: int = 25,
     places: Places = "raster",
-    switches: Collection[str] = SWITCHES,
+    switches: Collection[str] = LAB_SWITCHES,
     stated: Collection[str] = SHARED,
     *,
     bump_um: tuple[float, float] = (20.0, 50.0),
@@ -63,7 +63,7 @@ def lab_captures(
         seed: seed of the imperfections, of all random numbers, and of the truth's viewpoints.
         positions: number of camera positions, a square number.
         places: a serpentine raster, or positions off the raster in random order.
-        switches: imperfections that are on, some of `SWITCHES`.
+        switches: imperfections that are on, some of `LAB_SWITCHES`.
         stated: errors that the captures state with sizes within 10 %: some of `SHARED`, and "repeatability".
         bump_um: smallest and largest displacement of a bumped visit, times the level.
         noise_arcmin: noise of a reading; None to draw it from the seed.
@@ -72,7 +72,7 @@ def lab_captures(
     Raises:
         BadInputError: an unknown device or switch, or a number of positions that is not a square.
     """
-    workshop = Workshop(seed, level, frozenset(switches), bump_um)
+    workshop = LabWorkshop(seed, level, frozenset(switches), bump_um)
     rng = np.random.default_rng([seed, positions, int(places == "raster")])
     drawn = float(np.exp(np.random.default_rng(seed).uniform(*np.log(NOISE_ARCMIN))))
     at = EvaluatedEye(device, "right", eye_box_mm)

@@ -1,4 +1,4 @@
-"""Captures on a bench with the errors of a `Workshop`, and all that a lab records of them.
+"""Captures on a bench with the errors of a `LabWorkshop`, and all that a lab records of them.
 
 A session is a sweep over the camera positions for each pose of one printed board; in the first sweep the panel is
 decoded as well. The camera looks at the middle of the display's field; the stage moves along the axes of the device.
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.accuracy.lab_errors import LabWorkshop
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, concatenate
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir
@@ -69,14 +70,14 @@ class LabSweep:
     """
 
     setup: CaptureSetup
-    workshop: Workshop
+    workshop: LabWorkshop
     viewpoint: FloatArray
     number: int
     motion: FloatArray
 
     @classmethod
     def driven(
-        cls, setup: CaptureSetup, workshop: Workshop, viewpoint: FloatArray, number: int, rng: np.random.Generator
+        cls, setup: CaptureSetup, workshop: LabWorkshop, viewpoint: FloatArray, number: int, rng: np.random.Generator
     ) -> "LabSweep":
         """Drive the stage through all positions."""
         reading = viewpoint - setup.truth.eye_box.centre
@@ -223,7 +224,7 @@ class LabBoard:
 
 
 def display_captures(
-    setup: CaptureSetup, workshop: Workshop, viewpoint: FloatArray, rng: np.random.Generator
+    setup: CaptureSetup, workshop: LabWorkshop, viewpoint: FloatArray, rng: np.random.Generator
 ) -> DisplayCaptures:
     """Decode the panel in the camera's pixels from positions (m, 3), device frame, in the order of their visits."""
     sweep = LabSweep.driven(setup, workshop, viewpoint, 0, rng)
@@ -237,7 +238,7 @@ def display_captures(
 
 
 def see_through_captures(
-    setup: CaptureSetup, workshop: Workshop, viewpoint: FloatArray, rng: np.random.Generator
+    setup: CaptureSetup, workshop: LabWorkshop, viewpoint: FloatArray, rng: np.random.Generator
 ) -> SeeThroughCaptures:
     """Photograph the board at all poses through the optics from positions (m, 3), which are visited anew for each."""
     board, parts = LabBoard.of(setup), []

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.simulation.workshop import OF_NOISE, SWITCHES, Workshop, travel_of
+from wlr_render.simulation.workshop import SWITCHES, Workshop, travel_of
 
 WORKSHOP = Workshop(3)
 SEEDS = range(20)
@@ -21,20 +21,18 @@ def along_x(line: FloatArray) -> NDArray[Any]:
 
 def parts(workshop: Workshop) -> dict[Any, Any]:
     """Return all errors of a workshop."""
-    rng, reading, sides = np.random.default_rng(5), along_x(LINE_M[::100]), np.ones((41, 3))
+    reading, sides = along_x(LINE_M[::100]), np.ones((41, 3))
     sheet = 0.5 * PICTURE
     return {
         "travel": workshop.stage_motion(reading, sides)[:, 3:] - workshop.stage_motion(reading, -sides)[:, 3:],
         "shift": workshop.stage_motion(reading, 0 * sides)[:, 3:],
         "turn": workshop.stage_motion(reading, sides)[:, :3],
         "visits": workshop.visit_motion(30, 0),
-        "bumps": workshop.bumps(30),
         "print": workshop.printed_m(sheet),
         "height": workshop.height_m(PICTURE),
         "lens": workshop.lens_px(PICTURE),
         "pupil": workshop.pupil_m(PICTURE),
         "drift": workshop.drift_px(np.linspace(0, 1, 5), PICTURE),
-        "noise": np.stack([workshop.noise(PICTURE, rng) for _ in range(3)]),
     }
 
 
@@ -43,13 +41,11 @@ MOVED = {
     "hysteresis": {"travel"},
     "abbe": {"turn", "shift"},
     "repeatability": {"visits"},
-    "bumped": {"bumps"},
     "print": {"print"},
     "bow": {"height"},
     "lens": {"lens"},
     "pupil": {"pupil"},
     "drift": {"drift"},
-    **{name: {"noise"} for name in OF_NOISE},
 }
 
 
@@ -69,9 +65,8 @@ def test_errors_depend_on_the_seed_and_grow_with_the_level() -> None:
     half = parts(Workshop(3, 0.5))
     for part, values in first.items():
         np.testing.assert_array_equal(values, again[part])
-        assert np.any(values != other[part]) or part in ("travel", "noise")  # one size; of the caller's generator
-        if part != "noise":
-            np.testing.assert_allclose(half[part], 0.5 * values, atol=1e-15)
+        assert np.any(values != other[part]) or part == "travel"  # one size
+        np.testing.assert_allclose(half[part], 0.5 * values, atol=1e-15)
 
 
 def rms(values: FloatArray) -> float:
@@ -106,13 +101,6 @@ def test_visits_scatter_by_the_stated_sizes_and_wobble_slowly() -> None:
     assert np.mean(shift**4) > 4.0  # heavier tails than a Gaussian's 3
 
 
-def test_bumped_visits_are_one_or_two_of_the_stated_size() -> None:
-    for seed in SEEDS:
-        size = 1e6 * np.linalg.norm(Workshop(seed, bump_um=(300.0, 300.0)).bumps(25), axis=1)
-        np.testing.assert_allclose(size[size > 0], 300.0)
-        assert 1 <= np.count_nonzero(size) <= 2
-
-
 @pytest.mark.slow
 def test_the_board_errs_by_the_stated_sizes() -> None:
     sheet = 0.6 * np.stack(np.meshgrid(*[np.linspace(-1, 1, 61)] * 2), axis=-1).reshape(-1, 2)
@@ -138,28 +126,6 @@ def test_lens_pupil_and_drift_have_the_stated_sizes() -> None:
         drift = bench.drift_px(np.linspace(0, 1, 1001), np.zeros((1, 2)))[:, 0]
         assert 0.3 <= np.linalg.norm(drift[-1] - drift[0]) <= 0.5
         np.testing.assert_allclose(drift.mean(axis=0), 0.0, atol=1e-3)
-
-
-def noise_of(name: tuple[str, ...], count: int = 200) -> NDArray[Any]:
-    rng = np.random.default_rng(1)
-    return np.stack([WORKSHOP.only(*name).noise(PICTURE, rng) for _ in range(count)])
-
-
-def test_noise_has_its_rms_and_each_shape() -> None:
-    radius = np.linalg.norm(PICTURE, axis=1)
-    white, tails, rim, shared, gross = (noise_of(name) for name in ((), *[(each,) for each in OF_NOISE]))
-    for noise in (white, tails, rim, shared):
-        np.testing.assert_allclose(rms(noise), 1.0, rtol=0.05)
-    assert np.mean(tails**4) / np.mean(tails**2) ** 2 > 4.0
-    assert rms(rim[:, radius > 0.9]) > 1.5 * rms(rim[:, radius < 0.3])
-    grid = shared[..., 0].reshape(-1, 19, 23)
-    near = [np.mean(grid[:, :, lag:] * grid[:, :, : 23 - lag]) for lag in (1, 3, 6)]
-    assert near[0] > 0.3
-    assert 0.01 < near[1] < 0.2
-    assert abs(near[2]) < 0.03
-    wild = np.linalg.norm(gross, axis=-1) > 5.0
-    assert 0.005 < wild.mean() < 0.015
-    assert radius[np.nonzero(wild)[1]].mean() > 0.75
 
 
 def test_an_unknown_switch_and_an_impossible_level_are_refused() -> None:

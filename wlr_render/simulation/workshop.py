@@ -1,41 +1,23 @@
 """A second family of bench imperfections, independent of the function classes that models of a bench use.
 
 `BenchImperfections` draws cubic curves, Brown-like lenses and quadratic boards. A workshop draws the same physical
-errors from other classes: sawtooth screws, random walks, random fields, a radially oscillating lens residual, and noise
-that is heavy-tailed and correlated. Every error has a switch and is drawn from its own stream of random numbers, so
-that a switch changes one error alone.
+errors from other classes: sawtooth screws, random walks, random fields and a radially oscillating lens residual. Every
+error has a switch and is drawn from its own stream of random numbers, so that a switch changes one error alone.
 """
 
 import zlib
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar, Self
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.spatial import cKDTree
 
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
 
-SWITCHES = (
-    "screw",
-    "hysteresis",
-    "abbe",
-    "repeatability",
-    "bumped",
-    "print",
-    "bow",
-    "lens",
-    "pupil",
-    "drift",
-    "tails",
-    "vignetting",
-    "neighbours",
-    "gross",
-)
+SWITCHES = ("screw", "hysteresis", "abbe", "repeatability", "print", "bow", "lens", "pupil", "drift")
 """Names of the imperfections."""
-OF_NOISE = ("tails", "vignetting", "neighbours", "gross")
-"""Imperfections of the readings' noise."""
 
 # Screw: peak of the periodic error; lead screws have 10 um (precision grade) to 25 um (commercial grade) from peak to
 # peak (Dover Motion, motion control handbook). Period: pitch of usual screws.
@@ -68,14 +50,11 @@ _PUPIL_MM = (0.05, 0.2)
 # constant in parts of the session. Sensors of 3.45 um a pixel move by 3 um per kelvin of self-heating ("Modeling of
 # systematic errors in stereo-digital image correlation due to camera self-heating", Scientific Reports 9, 2019).
 _DRIFT_PX, _FOCAL_DRIFT, _DRIFT_TIME = (0.3, 0.5), 0.5, 1.0 / 3.0
-# Noise: assumptions
-_TAIL_DEGREES = 4.0  # degrees of freedom of Student's t
-_CORRELATED = 0.5  # part of the noise's variance that neighbours share
-_KERNEL_SPACINGS = 2.5  # radius of the kernel, in distances of neighbouring readings
-_GROSS, _GROSS_CLUSTER, _GROSS_SIGMAS = 0.01, 5, (5.0, 20.0)
-_RIM_STEEPNESS = 6  # power of the radius by which clusters of gross readings crowd at the rim
 
-_PICTURE = np.stack(np.meshgrid(np.linspace(-0.8, 0.8, 25), np.linspace(-0.6, 0.6, 19)), axis=-1).reshape(-1, 2)
+TAIL_DEGREES = 4.0
+"""Degrees of freedom of Student's t, of what is random; assumption."""
+PICTURE = np.stack(np.meshgrid(np.linspace(-0.8, 0.8, 25), np.linspace(-0.6, 0.6, 19)), axis=-1).reshape(-1, 2)
+"""Image positions (n, 2) all over a picture, in half diagonals."""
 _BEYOND = 1.5  # half sizes of the board up to which its shape continues
 _SQUARE = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 41)] * 2), axis=-1).reshape(-1, 2)
 
@@ -85,10 +64,9 @@ class Workshop:
     """The imperfections of one bench, drawn from a seed.
 
     Attributes:
-        seed: seed of all errors but the noise of the readings, which comes from the caller's generator.
+        seed: seed of all errors.
         level: common factor on all sizes: 1 for ordinary equipment, 0 for a perfect bench.
         switches: names of the imperfections that are on, some of `SWITCHES`.
-        bump_um: smallest and largest displacement of a bumped visit at level 1.
 
     Raises:
         BadInputError: an unknown switch, or a negative level.
@@ -97,20 +75,20 @@ class Workshop:
     seed: int
     level: float = 1.0
     switches: frozenset[str] = field(default_factory=lambda: frozenset(SWITCHES))
-    bump_um: tuple[float, float] = (20.0, 50.0)
+    KNOWN: ClassVar[tuple[str, ...]] = SWITCHES
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "switches", frozenset(self.switches))
-        if unknown := sorted(self.switches - set(SWITCHES)):
-            raise BadInputError(f"workshop: unknown imperfection '{unknown[0]}'; choose from {', '.join(SWITCHES)}.")
+        if unknown := sorted(self.switches - set(self.KNOWN)):
+            raise BadInputError(f"workshop: unknown imperfection '{unknown[0]}'; choose from {', '.join(self.KNOWN)}.")
         if not 0.0 <= self.level < np.inf:
             raise BadInputError(f"workshop: 'level' is {self.level}; give 0 or more.")
 
-    def only(self, *names: str) -> "Workshop":
+    def only(self, *names: str) -> Self:
         """Return the same bench with these imperfections alone."""
         return replace(self, switches=frozenset(names))
 
-    def without(self, *names: str) -> "Workshop":
+    def without(self, *names: str) -> Self:
         """Return the same bench without these imperfections."""
         return replace(self, switches=self.switches - self.only(*names).switches)
 
@@ -129,20 +107,11 @@ class Workshop:
     def visit_motion(self, count: int, sweep: int) -> FloatArray:
         """Return the random motion (count, 6) of the visits of a sweep; successive rotations are correlated."""
         rng = self._rng(f"repeatability {sweep}")
-        shock, shift = _student(rng, (count, 3)), _student(rng, (count, 3))
+        shock, shift = student(rng, (count, 3)), student(rng, (count, 3))
         turn, kept = shock.copy(), _WOBBLE_CORRELATION
         for visit in range(1, count):
             turn[visit] = kept * turn[visit - 1] + np.sqrt(1.0 - kept**2) * shock[visit]
         return 1e-6 * self._factor("repeatability") * np.concatenate([WOBBLE_URAD * turn, SHIFT_UM * shift], axis=1)
-
-    def bumps(self, count: int) -> FloatArray:
-        """Return displacements (count, 3) of one or two bumped visits, metres; 0 for the others."""
-        rng = self._rng("bumped")
-        shift, bumped = np.zeros((count, 3)), rng.permutation(count)[: rng.integers(1, 3)]
-        direction = rng.standard_normal((len(bumped), 3))
-        size = 1e-6 * self._factor("bumped") * rng.uniform(*self.bump_um, (len(bumped), 1))
-        shift[bumped] = size * direction / np.linalg.norm(direction, axis=1, keepdims=True)
-        return shift
 
     def drift_px(self, part: FloatArray, unit: FloatArray) -> FloatArray:
         """Return the image drift (m, n, 2) in pixels by a direction and a focal length that warm up.
@@ -162,13 +131,13 @@ class Workshop:
 
     def lens_px(self, unit: FloatArray) -> FloatArray:
         """Return the lens residual (..., 2), pixels, at image positions (..., 2) in half diagonals of the picture."""
-        size = self._rng("lens").uniform(*_LENS_PX) / _rms(self._lens_shape(_PICTURE))
+        size = self._rng("lens").uniform(*_LENS_PX) / rms(self._lens_shape(PICTURE))
         return np.asarray(self._factor("lens") * size * self._lens_shape(unit))
 
     def pupil_m(self, unit: FloatArray) -> FloatArray:
         """Return the travel (...) of the entrance pupil along the axis, metres, at image positions (..., 2)."""
         rim = self._rng("pupil").uniform(*_PUPIL_MM)
-        shape = (np.cosh(2.0 * _radius(unit)) - 1.0) / (np.cosh(2.0) - 1.0)
+        shape = (np.cosh(2.0 * radius_of(unit)) - 1.0) / (np.cosh(2.0) - 1.0)
         return np.asarray(1e-3 * self._factor("pupil") * rim * shape)
 
     def printed_m(self, place: FloatArray) -> FloatArray:
@@ -190,30 +159,6 @@ class Workshop:
         plane, span = self._board_plane
         size = self._rng("bow").uniform(*_BOW_MM) / span
         return np.asarray(1e-3 * self._factor("bow") * size * (self._board_shape(unit) - unit @ plane[:2] - plane[2]))
-
-    def noise(self, unit: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return the noise (n, 2) of the readings of one photograph, in units of its rms over the picture.
-
-        Args:
-            unit: (n, 2) image positions in half diagonals of the picture.
-            rng: source of the noise.
-        """
-        tails, count = self._factor("tails"), len(unit)
-        degrees = _TAIL_DEGREES / tails if tails else np.inf
-        noise = _student(rng, (count, 2), degrees)
-        shared = _CORRELATED * min(self._factor("neighbours"), 1.0)
-        if shared and count > 1:
-            noise = np.sqrt(1.0 - shared) * noise + np.sqrt(shared) * _neighbour_field(unit, rng, degrees)
-        rim = self._factor("vignetting")
-        size = 1.0 + rim * (1.0 / _light(unit) - 1.0)
-        noise *= (size / _rms(1.0 + rim * (1.0 / _light(_PICTURE) - 1.0)))[:, None]
-        for _ in range(rng.poisson(_GROSS * self._factor("gross") * count / _GROSS_CLUSTER)):
-            weight = _radius(unit) ** _RIM_STEEPNESS
-            centre = unit[rng.choice(count, p=weight / weight.sum())]
-            cluster = np.argsort(_radius(unit - centre))[:_GROSS_CLUSTER]
-            angle = rng.uniform(0.0, 2.0 * np.pi)
-            noise[cluster] += rng.uniform(*_GROSS_SIGMAS) * np.array([np.cos(angle), np.sin(angle)])
-        return noise
 
     def _factor(self, name: str) -> float:
         return self.level if name in self.switches else 0.0
@@ -255,14 +200,14 @@ class Workshop:
             ripple = unit * np.cos(2.0 * np.pi * turns * np.sqrt(square) + phase)
             return [tangential, s[0] * square + s[1] * square**2, ripple]
 
-        return np.asarray(sum(part / _rms(full) for part, full in zip(parts(unit), parts(_PICTURE), strict=True)))
+        return np.asarray(sum(part / rms(full) for part, full in zip(parts(unit), parts(PICTURE), strict=True)))
 
     @cached_property
     def _sheet(self) -> tuple[FloatArray, float]:
         """Mean (2,) and rms of the print's shape over the sheet."""
         shape = self._print_shape(_SHEET_M * _SQUARE)
         mean = np.asarray(shape.mean(axis=0))
-        return mean, _rms(shape - mean)
+        return mean, rms(shape - mean)
 
     def _print_shape(self, place: FloatArray) -> FloatArray:
         """Return a random field (..., 2) with a Matern 5/2 spectrum, by random Fourier features."""
@@ -313,34 +258,18 @@ def _screw_shape(turned: FloatArray, phase: FloatArray) -> FloatArray:
     return np.asarray(np.sin(turned + phase[0]) + 0.35 * np.sin(2.0 * turned + phase[1]) + 0.5 * sawtooth)
 
 
-def _neighbour_field(unit: FloatArray, rng: np.random.Generator, degrees: float) -> FloatArray:
-    """Return a random field (n, 2) of rms 1 at image positions (n, 2): white noise smoothed by a compact kernel."""
-    low, high = unit.min(axis=0), unit.max(axis=0)
-    spacing = max(float(np.sqrt(np.prod(high - low) / len(unit))), 1e-3)
-    reach = _KERNEL_SPACINGS * spacing
-    axes = [np.arange(a - reach, b + reach, spacing) for a, b in zip(low, high, strict=True)]
-    node = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    near = cKDTree(unit).sparse_distance_matrix(cKDTree(node), reach, output_type="coo_matrix").tocsr()
-    near.data = 1.0 - (near.data / reach) ** 2
-    return np.asarray(near @ _student(rng, node.shape, degrees) / np.sqrt(near.multiply(near).sum(axis=1)))
-
-
-def _student(rng: np.random.Generator, shape: tuple[int, ...], degrees: float = _TAIL_DEGREES) -> FloatArray:
+def student(rng: np.random.Generator, shape: tuple[int, ...], degrees: float = TAIL_DEGREES) -> FloatArray:
     """Return numbers of variance 1 of Student's t distribution; infinite degrees of freedom give Gaussian ones."""
     if np.isinf(degrees):
         return rng.standard_normal(shape)
     return np.asarray(rng.standard_t(degrees, shape) * np.sqrt((degrees - 2.0) / degrees))
 
 
-def _light(unit: FloatArray) -> FloatArray:
-    """Return the light (...) at image positions (..., 2): the fourth power of the cosine, and a shadow at the rim."""
-    radius = _radius(unit)
-    return np.asarray((1.0 + 0.36 * radius**2) ** -2 * (1.0 - 0.35 / (1.0 + np.exp((0.8 - radius) / 0.07))))
-
-
-def _radius(unit: FloatArray) -> FloatArray:
+def radius_of(unit: FloatArray) -> FloatArray:
+    """Return the distances (...) of places (..., 2) from the middle."""
     return np.asarray(np.linalg.norm(unit, axis=-1))
 
 
-def _rms(values: FloatArray) -> float:
+def rms(values: FloatArray) -> float:
+    """Return the root mean square of all values."""
     return float(np.sqrt(np.mean(np.square(values))))

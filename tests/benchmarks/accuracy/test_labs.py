@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from present import present
 
+from benchmarks.accuracy.lab_errors import LAB_SWITCHES
 from benchmarks.accuracy.lab_statements import SHARED
 from benchmarks.accuracy.labs import lab_captures
 from benchmarks.trials import EvaluatedEye, truth
@@ -13,7 +14,6 @@ from wlr_render.captures.capture_file import load_captures
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import tangents_of_dir
-from wlr_render.simulation.workshop import SWITCHES
 
 
 def test_a_session_depends_on_its_seed_and_states_the_truth() -> None:
@@ -101,5 +101,5 @@ def test_only_what_is_named_is_stated() -> None:
         np.testing.assert_allclose(1e6 * part.motion.size[:, :3], 15.0, rtol=0.1)
         np.testing.assert_allclose(1e6 * part.motion.size[:, 3:], 5.0, rtol=0.1)
     nothing, _ = lab_captures("birdbath28", positions=4, stated=())
-    perfect, _ = lab_captures("birdbath28", 0.0, positions=4, switches=SWITCHES)
+    perfect, _ = lab_captures("birdbath28", 0.0, positions=4, switches=LAB_SWITCHES)
     assert all(part.common is None and part.motion is None for part in (*nothing.both, *perfect.both))

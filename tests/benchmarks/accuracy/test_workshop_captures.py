@@ -4,15 +4,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.accuracy.lab_errors import LAB_SWITCHES, OF_NOISE, LabWorkshop
 from benchmarks.accuracy.workshop_captures import LabBoard, LabSweep, display_captures, see_through_captures
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.capture_setup import CaptureSetup
-from wlr_render.simulation.workshop import OF_NOISE, SWITCHES, Workshop
 
-WORKSHOP = Workshop(3)
+WORKSHOP = LabWorkshop(3)
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def setup(flat_image_headset: Eye) -> CaptureSetup:
     return CaptureSetup(flat_image_headset, grid=(7, 6), target_depths_m=(0.6, 1.0))
 
 
-def captured(setup: CaptureSetup, workshop: Workshop) -> tuple[DisplayCaptures, SeeThroughCaptures]:
+def captured(setup: CaptureSetup, workshop: LabWorkshop) -> tuple[DisplayCaptures, SeeThroughCaptures]:
     at, rng = setup.camera_positions("planar", 4), np.random.default_rng(7)
     return display_captures(setup, workshop, at, rng), see_through_captures(setup, workshop, at, rng)
 
@@ -33,11 +33,11 @@ def errors(setup: CaptureSetup, display: Any, see_through: Any) -> tuple[FloatAr
 
 
 def test_captures_of_a_perfect_workshop_are_exact(setup: CaptureSetup) -> None:
-    shown, seen = errors(setup, *captured(setup, Workshop(3, 0.0)))
+    shown, seen = errors(setup, *captured(setup, LabWorkshop(3, 0.0)))
     assert max(shown.max(), seen.max()) < 1e-6
 
 
-@pytest.mark.parametrize("name", [name for name in SWITCHES if name not in OF_NOISE])
+@pytest.mark.parametrize("name", [name for name in LAB_SWITCHES if name not in OF_NOISE])
 def test_each_error_reaches_the_captures_that_it_concerns(setup: CaptureSetup, name: str) -> None:
     shown, seen = errors(setup, *captured(setup, WORKSHOP.only(name)))
     assert (shown.max() > 1e-3) == (name not in ("print", "bow"))
@@ -71,7 +71,7 @@ def test_captures_record_what_a_lab_records(setup: CaptureSetup) -> None:
 
 def test_noise_has_the_stated_sigma(setup: CaptureSetup) -> None:
     noisy = replace(setup, grid=(25, 21), camera_noise_arcmin=0.5)
-    for part in errors(noisy, *captured(noisy, Workshop(3, 0.0))):
+    for part in errors(noisy, *captured(noisy, LabWorkshop(3, 0.0))):
         np.testing.assert_allclose(np.sqrt(np.mean(part**2)), 0.5 * np.sqrt(2.0), rtol=0.05)
 
 

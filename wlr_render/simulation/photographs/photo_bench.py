@@ -272,7 +272,7 @@ def _workshop(options: PhotoBenchOptions, number: int) -> Workshop | None:
     """Return the errors of an eye's bench (0 or 1) or of the tracking camera (2)."""
     if options.family == "polynomial":
         return None
-    return Workshop(3 * options.seed + number).without("bumped")
+    return Workshop(3 * options.seed + number)
 
 
 def _past_optics(aim: _Aim, optics: EyeOptics) -> _Aim:
