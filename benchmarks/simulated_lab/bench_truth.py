@@ -23,8 +23,7 @@ class BenchTruth:
         bench: the bench, with the true stage axes and the target's poses before any fault. Its eyeball lens has its
             middle focus, as for the panel and the photographs for the intrinsics.
         eyeball_at_target: the eyeball lens at each target pose.
-        bare, see_through, display: (n, 4, 4) device_from_camera of each photograph or panel set; photographs past the
-            optics have the poses of the photographs through them.
+        bare, see_through, display: (n, 4, 4) device_from_camera of each photograph or panel set.
         bare_targets, see_through_targets, tracking_targets: (n, 4, 4) device_from_target at each photograph.
     """
 

@@ -127,8 +127,7 @@ class _Calibration:
 
     def viewpoints(self, visits: Sequence[Visit]) -> FloatArray:
         """Return the positions (n, 3) of the camera by its readings."""
-        readings = [visit.reading for visit in visits]
-        return np.stack([self.station.device_from_camera(each)[:3, 3] for each in readings if each is not None])
+        return np.stack([self.station.device_from_camera(visit.reading)[:3, 3] for visit in visits])
 
 
 def register(options: SimulatedLabOptions, folder: Path, progress: Progress) -> Registration:

@@ -19,20 +19,16 @@ from wlr_render.captures.decoded import DecodedSamples, Rejection
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.session_reading import PanelReading, Reading
-from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.planning.planned_bench import ReadingOptions
-from wlr_render.simulation.photographs.photo_bench import passes_optics
 from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs, planned_session, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.workshop import Workshop
 
 _EDGE_PX = 6.0  # smallest distance from the edge of the picture to the centre of a dot
 _NEAR = 1.1  # range in sizes of the picture; the optics bring no point beyond it into the picture
-_FROM_OPTICS = 0.93  # factor on a direction's tangents: also there, a point past the optics must miss the optics
-_LEAST_BESIDE = 20
 _USUAL = ReadingOptions()
 _COARSE = 24  # camera pixels across, at which the panel is looked for
 
@@ -68,8 +64,7 @@ def simulate_readings(
         folder: folder in the names of photographs; nothing is read or written there.
 
     Raises:
-        BadInputError: an unknown device, eye or pattern, a fault of a missing photograph, or a target that is too far
-            away to be seen past the optics by a hand-held camera.
+        BadInputError: an unknown device, eye or pattern, or a fault of a missing photograph.
     """
     bench = recipe.build()
     off = np.deg2rad(faults.axis_off_deg)
@@ -127,14 +122,6 @@ class _Reader:
             tracked(each.path, transforms.inverse(bench.device_from_tracking) @ target)
         for each, camera, target in zip(session.see_through, truth.see_through, truth.see_through_targets, strict=True):
             boards[each.path] = self._through(each.path, truth.eyeball_at_target[each.target_pose], camera, target)
-        for each, camera, target in zip(session.beside, truth.see_through, truth.see_through_targets, strict=False):
-            seen = self._beside(each.path, truth.eyeball_at_target[each.target_pose], camera, target)
-            if len(seen) < _LEAST_BESIDE:
-                raise BadInputError(
-                    f"Past the optics {len(seen)} features of the board are seen at target pose {each.target_pose}; "
-                    f"bring the targets nearer than {max(truth.bench.options.target_depths_m):g} m."
-                )
-            boards[each.path] = seen
         panels = {
             each.folder: self._panel(each.folder, camera)
             for each, camera in zip(session.display, truth.display, strict=True)
@@ -167,23 +154,6 @@ class _Reader:
         pixel = pixel_of_real_point(bench.optics, camera, device_from_camera, point[number], bench.eyeball.workshop)
         seen = _inside(pixel, camera.size_px, _EDGE_PX)
         return self._observed(number[seen], pixel[seen], rng)
-
-    def _beside(
-        self, path: Path, camera: LensCamera, device_from_camera: FloatArray, device_from_target: FloatArray
-    ) -> BoardObservation:
-        """Return the part of the board that is seen past the optics, with some distance from their edge."""
-        rng = self._rng(path)
-        in_camera = transforms.apply(
-            transforms.inverse(device_from_camera) @ device_from_target, self.truth.bench.printed.points
-        )
-        pixel = pixel_of_point(camera, in_camera, self.truth.bench.eyeball.workshop)
-        tangents = in_camera[:, :2] / in_camera[:, 2:]
-        optics, rotation, viewpoint = self.truth.bench.optics, device_from_camera[:3, :3], device_from_camera[:3, 3]
-        seen = _inside(pixel, camera.size_px, _EDGE_PX)
-        for part in (1.0, _FROM_OPTICS):
-            seen &= ~passes_optics(rotation, part * tangents, optics, viewpoint)
-        number = self._chosen(seen, rng)
-        return self._observed(number, pixel[number], rng)
 
     def _chosen(self, seen: BoolArray, rng: np.random.Generator) -> IntArray:
         number = np.flatnonzero(seen)

@@ -15,7 +15,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.planning.designs import places_of
 from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
-from wlr_render.simulation.photographs.photo_plan import bare_steps, plan_photographs, stage_axis_count
+from wlr_render.simulation.photographs.photo_plan import bare_steps, plan_photographs
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.stage_errors import StageErrors
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
@@ -164,7 +164,7 @@ class PlannedBench:
     @cached_property
     def bare_steps(self) -> FloatArray:
         """Stage positions (n, 3), -1 to 1, of the photographs without the headset: before it is mounted, and after."""
-        return np.tile(bare_steps(stage_axis_count(self.bench), self.in_depth), (2, 1))
+        return np.tile(bare_steps(len(self.bench.options.stage), self.in_depth), (2, 1))
 
     def curve(self, draw: int) -> StageCurve:
         """Draw a stage and return its smooth errors after calibration."""

@@ -8,13 +8,11 @@ import pytest
 from present import present
 from small_photo_session import CoarseView
 
-from benchmarks.simulated_lab.exact_views import panel_position, pixel_of_point, pixel_of_real_point
+from benchmarks.simulated_lab.exact_views import panel_position, pixel_of_point
 from benchmarks.simulated_lab.simulate_readings import SimulatedReadings, simulate_readings
 from wlr_render.captures.decoded import sample
-from wlr_render.captures.photo_session_checks import check_session
 from wlr_render.captures.photographs import read_each, read_photograph
 from wlr_render.geometry import transforms
-from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs import take_photographs
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
@@ -97,29 +95,6 @@ def test_the_session_states_the_readings_and_the_extrinsics_with_their_errors(si
     repeated = session.see_through[0], session.see_through[RECIPE.viewpoints]
     assert 0 < np.abs(present(repeated[0].stage) - present(repeated[1].stage)).max() < 5e-6
     assert np.array_equal(present(session.display[0].stage), present(session.see_through[0].stage))
-
-
-def test_a_camera_in_the_hand_sees_the_target_past_the_optics() -> None:
-    bench = replace(RECIPE.bench, stage="hand", target_depths_m=(0.3, 0.5))
-    simulated = simulate_readings(replace(RECIPE, bench=bench))
-    session, truth = simulated.session, simulated.truth
-    assert session.stage is None
-    assert session.bare == ()
-    check_session(Table({}, "session.toml"), session)
-    assert len({each.place for each in session.see_through}) == len(session.see_through) == 2 * RECIPE.viewpoints
-    assert [each.place for each in session.beside] == [each.place for each in session.see_through]
-    turns = [truth.bench.device_from_camera[:3, :3].T @ pose[:3, :3] for pose in truth.see_through]
-    degrees = np.rad2deg([np.arccos(0.5 * (np.trace(turn) - 1.0)) for turn in turns])
-    assert 0.5 < degrees.mean() < 5.0
-    box = truth.bench.optics.eye_box
-    assert np.all(np.abs(truth.see_through[:, :3, 3] - box.centre) <= 0.5 * box.size + 1e-9)
-    for each, camera, target in zip(session.beside, truth.see_through, truth.see_through_targets, strict=True):
-        seen = simulated.reading.boards[each.path]
-        point = transforms.apply(target, truth.bench.printed.point_of(seen.index))
-        lens = truth.eyeball_at_target[each.target_pose]
-        straight = lens.pixel_of_point(transforms.apply(transforms.inverse(camera), point))
-        assert rms(seen.pixel - straight) == pytest.approx(0.02, rel=0.2)
-        assert np.isnan(pixel_of_real_point(truth.bench.optics, lens, camera, point)).any(axis=-1).mean() > 0.95
 
 
 def test_pixels_of_a_workshop_lens_see_the_points_that_they_show() -> None:

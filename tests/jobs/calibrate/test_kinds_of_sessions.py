@@ -14,11 +14,14 @@ from benchmarks.simulated_lab.simulate_readings import SimulatedReadings, simula
 from wlr_render.calibration.calibrate_session import SessionCalibration, calibrate_session
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.poses import motion_between
+from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.photo_session import CodeSet, PhotoSession, SessionPanel, StageAxis, StageDescription
+from wlr_render.captures.photo_session_checks import check_session
 from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import arcmin_between
+from wlr_render.io.toml_files import Table
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions, FitOptions
 from wlr_render.jobs.calibrate.photos import report_of
 from wlr_render.models.model_file import load_eye_model, load_eye_models
@@ -185,10 +188,30 @@ def test_a_stage_of_one_axis(tmp_path: Path) -> None:
     assert any("add a column of" in step for step in report.advice)
 
 
-def test_a_camera_in_the_hand(tmp_path: Path) -> None:
-    made = simulated(stage="hand", target_depths_m=(0.3, 0.5))
-    found = calibrate_session(with_known_lenses(made), made.reading, tmp_path, FIT.fit)
-    assert_poses(found, made.session.display, made.truth.display)
+def in_the_hand(made: SimulatedReadings) -> tuple[PhotoSession, Reading]:
+    """The session without its stage: from each place a part of the board is also seen past the optics."""
+    truth, rng = made.truth, np.random.default_rng(1)
+    boards, through, beside = dict(made.reading.boards), [], []
+    poses = zip(truth.see_through, truth.see_through_targets, strict=True)
+    for number, (each, (camera, target)) in enumerate(zip(made.session.see_through, poses, strict=True)):
+        through.append(replace(each, stage=None, place=f"place {number}"))
+        beside.append(replace(through[-1], name=f"beside/{number:02d}.png"))
+        lens, index = truth.eyeball_at_target[each.target_pose], made.session.board.indices()
+        pixel = lens.pixel_of_point(transforms.apply(transforms.inverse(camera) @ target, truth.bench.printed.points))
+        seen = np.flatnonzero(np.all((pixel > 6) & (pixel < np.array(lens.size_px) - 6), axis=1))
+        seen = seen[index[seen, 0] <= np.quantile(index[seen, 0], 0.25)]
+        noisy = pixel[seen] + rng.normal(0.0, 0.02, (len(seen), 2))
+        boards[beside[-1].path] = BoardObservation(index[seen], noisy, np.full(len(seen), 0.02))
+    display = [replace(each, stage=None, place=f"place {k}") for k, each in enumerate(made.session.display)]
+    parts: dict[str, Any] = {"display": tuple(display), "see_through": tuple(through), "beside": tuple(beside)}
+    return replace(made.session, stage=None, bare=(), **parts), replace(made.reading, boards=boards)
+
+
+def test_a_camera_in_the_hand(usual: SimulatedReadings, tmp_path: Path) -> None:
+    session, reading = in_the_hand(usual)
+    check_session(Table({}, "session.toml"), session)
+    found = calibrate_session(session, reading, tmp_path, FIT.fit)
+    assert_poses(found, session.display, usual.truth.display)
     assert found.all_excluded == []
 
 

@@ -74,7 +74,6 @@ def test_volumetric_readings_fill_the_eye_box(bench: PhotoBench) -> None:
     ("wrong", "complaint"),
     [
         ({"sampling": "volumetric", "stage": "xy"}, "volumetric sampling needs the stage xyz"),
-        ({"stated_axes_deg": 0.1, "stage": "hand"}, "has no stage axes to state"),
     ],
 )
 def test_what_a_stage_cannot_do_is_refused(wrong: Mapping[str, Any], complaint: str) -> None:

@@ -13,12 +13,11 @@ from wlr_render.geometry.directions import dir_of_tangents, normalised
 from wlr_render.io.file_records import Key
 from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.mappings import Eye
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
-from wlr_render.optics.traced_mappings import TracedSeeThrough, traced_eye
+from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
-from wlr_render.simulation.photographs.camera_view import WAVELENGTH_UM
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.printed_board import PrintedBoard, WorkshopBoard
 from wlr_render.simulation.photographs.stage_errors import StageErrors
@@ -34,11 +33,8 @@ _EXPOSURE = 0.85  # exposure of a white panel: just below full scale
 _TRACKING_SNR = 60.0  # signal-to-noise ratio of white, as of a camera of 8 bits in daylight
 _STAGE, _BOARD, _LENSES, _EXTRINSICS, _SENSORS = range(101, 106)  # streams of random numbers
 
-_CLEAR = np.linspace(-1.2, 1.2, 49)  # tangents that are searched for the edge of the optics
-_BEYOND_CLEAR = 1.25  # field of a hand-held camera over the clear field of the optics
-
 Family = Literal["polynomial", "workshop"]
-StageKind = Literal["xyz", "xy", "x", "hand"]
+StageKind = Literal["xyz", "xy", "x"]
 Sampling = Literal["planar", "volumetric"]
 
 _CORNERS = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
@@ -57,8 +53,7 @@ class PhotoBenchOptions:
         target_depths_m: distances of the target in front of the eye box; one pose each.
         seed: seed of all random numbers.
         imperfections: errors of stage, board, lenses, extrinsics and sensors.
-        stage: moving axes, or "hand" for a hand-held camera, which also sees the target past the optics, with a wider
-            lens.
+        stage: moving axes.
         sampling: camera positions: in the middle plane of the eye box, or anywhere in it.
         stated_axes_deg: standard deviation of the error of the stage rotation in session.toml; the bare target is then
             photographed once. 0 if session.toml does not state the rotation.
@@ -87,13 +82,11 @@ class PhotoBenchOptions:
     def __post_init__(self) -> None:
         if self.family == "workshop":
             object.__setattr__(self, "imperfections", self.imperfections.of_photographs)
-        if self.sampling == "volumetric" and self.stage not in ("xyz", "hand"):
+        if self.sampling == "volumetric" and self.stage != "xyz":
             raise BadInputError(
                 f"A stage with the axes {self.stage} carries no camera through the eye box: volumetric sampling needs "
                 "the stage xyz."
             )
-        if self.stated_axes_deg and self.stage == "hand":
-            raise BadInputError("A camera in the hand has no stage axes to state; leave 'stated_axes_deg' at 0.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,10 +233,9 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
         for stream in (_STAGE, _BOARD, _LENSES, _EXTRINSICS, _SENSORS)
     )
     pose = transforms.rigid(aim.device_from_looking @ _turned(0.4, -0.3, 0.5), box.centre)
-    view = _past_optics(aim, device.eyes[eye]) if options.stage == "hand" else aim
-    eyeball = _camera(options.camera_px, view.half_tangents * _MARGIN, [-0.06, 0.02, 4e-4, -3e-4, 0.0])
+    eyeball = _camera(options.camera_px, aim.half_tangents * _MARGIN, [-0.06, 0.02, 4e-4, -3e-4, 0.0])
     tracking = _camera(options.tracking_px, np.array([0.72, 0.54]), [-0.10, 0.03, -5e-4, 2e-4, 0.0])
-    board = _board(view, max(options.target_depths_m), eyeball)
+    board = _board(aim, max(options.target_depths_m), eyeball)
     device_from_tracking = _tracking_pose(aim, box.centre)
     errors = [_workshop(options, number) for number in (int(eye == "left"), 2)]
     return PhotoBench(
@@ -273,23 +265,6 @@ def _workshop(options: PhotoBenchOptions, number: int) -> Workshop | None:
     if options.family == "polynomial":
         return None
     return Workshop(3 * options.seed + number)
-
-
-def _past_optics(aim: _Aim, optics: EyeOptics) -> _Aim:
-    """Return the same view, widened to the clear field of the optics from the middle of the eye box and a margin."""
-    tangents = np.stack(np.meshgrid(_CLEAR, _CLEAR), axis=-1).reshape(-1, 2)
-    clear = np.abs(tangents[passes_optics(aim.device_from_looking, tangents, optics, optics.eye_box.centre)])
-    half = np.maximum(aim.half_tangents, clear.max(axis=0, initial=0.0))
-    return replace(aim, half_tangents=_BEYOND_CLEAR * half)
-
-
-def passes_optics(
-    device_from_looking: FloatArray, tangents: FloatArray, optics: EyeOptics, viewpoint: FloatArray
-) -> BoolArray:
-    """Return which directions (n, 2), tangents in a frame looking along z, see the world through the optics, (n,)."""
-    looking = normalised(np.concatenate([tangents, np.ones((len(tangents), 1))], axis=-1))
-    through = TracedSeeThrough(optics, WAVELENGTH_UM).real_ray_of_view_dir(looking @ device_from_looking.T, viewpoint)
-    return np.asarray(through.usable)
 
 
 def half_travel(truth: Eye) -> FloatArray:

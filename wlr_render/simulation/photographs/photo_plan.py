@@ -27,14 +27,12 @@ from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, stage_readings
-from wlr_render.simulation.viewpoints import random_in_eye_box
 
 _TILTS_DEG = ((0, 0), (28, 0), (-28, 0), (0, 28), (0, -28), (20, 20), (-20, 20), (20, -20), (-20, -20))
 _GROUND_PX = 4.0  # width of the ground around a measured dot
 _FILL = (0.75, 1.1)  # shares of the picture's width that the board fills, alternating
-_PLACES, _TURNS, _READINGS, _CREEP, _HAND, _STATED = range(17, 23)  # streams of random numbers
+_PLACES, _TURNS, _READINGS, _CREEP, _STATED = 17, 18, 19, 20, 22  # streams of random numbers
 _CREEP_TIME = 0.3  # share of the session in which the creep falls to 1 / e
-_HAND_TURN_DEG = 1.5  # standard deviation of a hand's rotation about each axis
 _VISIT_S = 30.0  # time from one visit to the next
 _READING_DIGITS = 8  # decimals of a reading in metres: an encoder of 10 nm
 
@@ -58,14 +56,9 @@ class PhotoPlan:
     tracking_boards: FloatArray
 
 
-def stage_axis_count(bench: PhotoBench) -> int:
-    """Return the number of axes of the bench's stage; 0 for a camera in the hand."""
-    return 0 if bench.options.stage == "hand" else len(bench.options.stage)
-
-
 def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
     """Plan all photographs of a session with `viewpoints` camera positions."""
-    axes = stage_axis_count(bench)
+    axes = len(bench.options.stage)
     sweep = stage_readings(bench, viewpoints)
     sweep[:, axes:] = 0.0
     steps = bare_steps(axes, bench.options.sampling == "volumetric" or bool(np.any(sweep[:, 2])))
@@ -76,7 +69,7 @@ def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
     return PhotoPlan(
         sweep,
         np.round(steps * reach, 4),
-        tuple(dict.fromkeys((0, poses - 1))) if axes else (),
+        tuple(dict.fromkeys((0, poses - 1))),
         _boards_before(bench.eyeball.camera, bench.board.size_m),
         _boards_before(bench.tracking.camera, bench.board.size_m),
     )
@@ -140,15 +133,13 @@ class Visit:
     """The camera at one position, from arriving until leaving.
 
     Attributes:
-        reading: (m,) readings of the stage's encoders, metres; None for a hand-held camera.
+        reading: (m,) readings of the stage's encoders, metres.
         device_from_camera: (4, 4) true pose of the eyeball camera.
-        place: name of the position of a hand-held camera; "" on a stage.
         time_s: seconds since the first visit, where a camera warms up; None if unknown.
     """
 
-    reading: FloatArray | None
+    reading: FloatArray
     device_from_camera: FloatArray
-    place: str = ""
     time_s: float | None = None
 
 
@@ -171,12 +162,9 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
     """Return the visits of a session, from the bench's seed.
 
     The stage travels through the bare positions of the first target pose, the sweep of each target pose with a return
-    to its first position, and the bare positions of the other bare target pose. It creeps in this order. A hand holds
-    the camera anywhere in the eye box, at the same number of positions for each target pose.
+    to its first position, and the bare positions of the other bare target pose. It creeps in this order.
     """
-    axes = stage_axis_count(bench)
-    if not axes:
-        return _visits_by_hand(bench, len(plan.sweep))
+    axes = len(bench.options.stage)
     sweep = np.concatenate([plan.sweep, plan.sweep[:1]])
     poses, places, bare = len(bench.device_from_target), len(plan.sweep), len(plan.bare)
     commanded = np.concatenate([np.tile(plan.bare, (len(plan.bare_poses), 1)), np.tile(sweep, (poses, 1))])
@@ -209,7 +197,7 @@ def later_visits(bench: PhotoBench, commanded: FloatArray, rng: np.random.Genera
 
     Axes that the stage lacks do not move. The creep keeps its value at the end of the session.
     """
-    sizes, axes = bench.options.imperfections, stage_axis_count(bench)
+    sizes, axes = bench.options.imperfections, len(bench.options.stage)
     commanded = commanded * (np.arange(3) < axes)
     place, turn, reading = 1e-6 * rng.standard_normal((3, *commanded.shape))
     position = commanded + sizes.repeatability_um * place
@@ -220,17 +208,6 @@ def later_visits(bench: PhotoBench, commanded: FloatArray, rng: np.random.Genera
     return tuple(
         Visit(row[:axes], bench.camera_at(at, off)) for row, at, off in zip(stated, position, error, strict=True)
     )
-
-
-def _visits_by_hand(bench: PhotoBench, count: int) -> SessionVisits:
-    rng = np.random.default_rng([bench.options.seed, _HAND, int(bench.eye == "left")])
-    visits = []
-    for pose in range(len(bench.device_from_target)):
-        for number, viewpoint in enumerate(random_in_eye_box(bench.optics.eye_box, count, rng)):
-            turn = transforms.rotations_of_vectors(np.deg2rad(_HAND_TURN_DEG) * rng.standard_normal(3))
-            pose_of_hand = transforms.rigid(turn @ bench.device_from_camera[:3, :3], viewpoint)
-            visits.append(Visit(None, pose_of_hand, f"target {pose}, place {number}"))
-    return SessionVisits((), tuple(visits), tuple(visits[:count]))
 
 
 def _whole_creep(bench: PhotoBench) -> FloatArray:
@@ -260,14 +237,11 @@ def planned_session(
     through = [
         (pose, f"pose{pose}_{n:02d}.png", visits.see_through[pose * sweep + n]) for pose in poses for n in range(sweep)
     ]
-    sizes, axes = bench.options.imperfections, stage_axis_count(bench)
+    sizes = bench.options.imperfections
     sigma = (float(np.radians(sizes.extrinsics_deg)), 1e-3 * sizes.extrinsics_mm)
 
     def stated(visit: Visit) -> dict[str, Any]:
-        return {"stage": visit.reading, "place": visit.place, "eye": bench.eye, "time_s": visit.time_s}
-
-    def target_photographs(folder: str) -> tuple[BoardPhotograph, ...]:
-        return tuple(BoardPhotograph(root, f"{folder}/{name}", pose, **stated(visit)) for pose, name, visit in through)
+        return {"stage": visit.reading, "eye": bench.eye, "time_s": visit.time_s}
 
     session = PhotoSession(
         folder=root,
@@ -281,7 +255,7 @@ def planned_session(
         tracking_camera=tracking,
         device_from_tracking=bench.stated_device_from_tracking,
         tracking_sigma=sigma if all(sigma) else None,
-        stage=_described_stage(bench) if axes else None,
+        stage=_described_stage(bench),
         bare=tuple(
             BoardPhotograph(root, name, plan.bare_poses[number // len(plan.bare)], **stated(visit))
             for number, (name, visit) in enumerate(zip(bare, visits.bare, strict=True))
@@ -291,8 +265,9 @@ def planned_session(
             for pose in poses
             for when in ("before", "after")
         ),
-        see_through=target_photographs("see_through"),
-        beside=() if axes else target_photographs("beside"),
+        see_through=tuple(
+            BoardPhotograph(root, f"see_through/{name}", pose, **stated(visit)) for pose, name, visit in through
+        ),
         display=tuple(
             CodeSet(root / "display" / f"{number:02d}", **stated(visit)) for number, visit in enumerate(visits.display)
         ),
@@ -302,7 +277,7 @@ def planned_session(
 
 def _described_stage(bench: PhotoBench) -> StageDescription:
     """Return the stage description of session.toml: axes at right angles, all rotated by one random error."""
-    options, axes = bench.options, stage_axis_count(bench)
+    options, axes = bench.options, len(bench.options.stage)
     if not options.stated_axes_deg:
         return StageDescription((StageAxis(),) * axes)
     rng = np.random.default_rng([options.seed, _STATED, int(bench.eye == "left")])

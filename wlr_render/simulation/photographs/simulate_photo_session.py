@@ -16,7 +16,6 @@ from wlr_render.captures.boards.board_file import save_board
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, SessionCamera
 from wlr_render.captures.photo_session_file import FILE, save_photo_session
-from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.input_files import hashes_of_inputs
 from wlr_render.io.kept import Kept, Signature, recipe_of, signatures_of
@@ -63,8 +62,6 @@ def simulate_photo_session(
         BadInputError: an unknown device, eye or pattern, or the folder holds a session made with other options or input
             files.
     """
-    if recipe.bench.stage == "hand":
-        raise BadInputError("Photographs past the optics are not rendered; choose a stage of 1 to 3 axes.")
     with hashes_of_inputs() as inputs:
         bench = recipe.build()  # impossible options are refused before a folder is made
     root = output_folder(folder)
