@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.calibration.bench.bench_checks import Pull, prior_pulls, reading_pulls
 from wlr_render.calibration.bench.board_shape import BoardShape
 from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
@@ -44,7 +43,6 @@ def save_station(path: str | Path, bench: CalibratedBench) -> Path:
         "eyeball_camera": _lens_record(state.lens[EYEBALL]),
         "device_from_target": {str(k): _pose_record(pose) for k, pose in bench.targets.items()},
         "board": _shape_record(state.shape["board"]) if "board" in state.shape else None,
-        "reduced_chi_squared": [_pull_record(each) for each in [*reading_pulls(adjustment), *prior_pulls(adjustment)]],
         "checks": [
             {"step": check.step, "quantity": check.quantity, "ok": bool(check.ok), "sentence": check.sentence}
             for check in bench.checks
@@ -178,7 +176,3 @@ def _pose_record(pose: Pose) -> dict[str, Any]:
         "sigma_arcmin": pose.sigma_arcmin.tolist(),
         "sigma_mm": pose.sigma_mm.tolist(),
     }
-
-
-def _pull_record(pull: Pull) -> dict[str, Any]:
-    return {"kind": pull.kind, "value": pull.reduced, "freedom": pull.freedom, "probability": pull.probability}

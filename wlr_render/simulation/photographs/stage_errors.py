@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
@@ -41,7 +42,7 @@ class StageErrors:
 
     def motion(self, position: FloatArray) -> FloatArray:
         """Return the error (6,), rotation vector (rad) then displacement of the pupil (m), at a stage position (3,)."""
-        terms = _legendre(position / self.half_travel_m) - _legendre(np.zeros(3))
+        terms = legvander(position / self.half_travel_m, 3)[:, 1:] - legvander(np.zeros(3), 3)[:, 1:]
         turn = np.einsum("rad,ad->r", self.turn_rad, terms)
         return np.concatenate([turn, np.einsum("rad,ad->r", self.bend_m, terms) + np.cross(turn, self.arm_m)])
 
@@ -49,8 +50,3 @@ class StageErrors:
 def _of_unit_rms(parts: FloatArray) -> FloatArray:
     """Return Legendre coefficients of a curve whose standard deviation over -1..1 is 1."""
     return np.asarray(parts / np.linalg.norm(parts) * np.sqrt(2.0 * _DEGREES + 1.0))
-
-
-def _legendre(unit: FloatArray) -> FloatArray:
-    """Return P1, P2 and P3 of each of (3,) values: (3, 3)."""
-    return np.stack([unit, 1.5 * unit**2 - 0.5, 2.5 * unit**3 - 1.5 * unit], axis=-1)
