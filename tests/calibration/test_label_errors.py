@@ -45,26 +45,12 @@ def display(seed: int, count: int = 7) -> DisplayCaptures:
     return timed(display_captures(places(seed, count), sigma_arcmin=SIGMA, seed=seed))
 
 
-def drifted(seed: int) -> DisplayCaptures:
-    """A camera that turns by half an arcminute while it warms up."""
-    captures = display(seed)
-    warm = 1.0 - np.exp(-3.0 * captures.time_s / captures.time_s.max())
-    return replace(captures, view_dir=dir_of_tangents(captures.tangents + np.outer(warm, [0.6, -0.4]) * ARCMIN))
-
-
 def flickering(seed: int) -> DisplayCaptures:
     """A camera that turns to and fro by half an arcminute, faster than any drift of a fit."""
     captures = display(seed)
     slot = np.floor(6.0 * captures.time_s / (captures.time_s.max() + 1.0))
     turn = np.outer((-1.0) ** slot, [0.4, -0.3]) * ARCMIN
     return replace(captures, view_dir=dir_of_tangents(captures.tangents + turn))
-
-
-def screwed(seed: int, size_m: float = 12e-6) -> DisplayCaptures:
-    """A stage whose axis x has a lead screw with an error."""
-    captures = display(seed)
-    x, y, z = captures.viewpoint.T
-    return replace(captures, viewpoint=np.column_stack([x + size_m * np.sin(2.0 * np.pi * x / 5e-3), y, z]))
 
 
 def board(seed: int, size_m: float = 0.0) -> SeeThroughCaptures:
