@@ -107,6 +107,15 @@ def test_a_wrong_alignment_is_named(headset: Eye) -> None:
     assert fit_alignments(replace(alignments, point=point)).doubtful == (7,)
 
 
+def test_a_wrong_alignment_does_not_make_others_doubtful(headset: Eye) -> None:
+    """Of 5 degrees, it bends the fit so far that others seem wrong beside it."""
+    for seed in (5, 6, 10):
+        alignments, _ = wearer(headset, 12, seed)
+        point = alignments.point.copy()
+        point[6, 0] += 0.09 * np.linalg.norm(point[6])
+        assert fit_alignments(replace(alignments, point=point)).doubtful == (7,)
+
+
 def test_alignments_that_determine_nothing_are_refused(headset: Eye) -> None:
     alignments, _ = wearer(headset, 8, 2)
     with pytest.raises(BadInputError, match=r"mine\.toml: has 5 alignments; a model needs 6 to 1000, at pixels"):

@@ -238,18 +238,30 @@ def _fits(
 def _doubtful(
     found: Alignments, terms: FloatArray, orders: IntArray, eye: FloatArray, left: FloatArray
 ) -> tuple[int, ...]:
-    """Return the alignments that a fit to the others misses, of the few with the largest residuals (n,), from 1."""
-    doubtful, count = [], len(found.pixel)
+    """Return the alignments that a fit to the others misses, from 1.
+
+    Of the few with the largest residuals (n,) the one that the others miss by most is left out before the next is
+    judged: it bends the fit, and others would seem wrong beside it.
+    """
+    doubtful: list[int] = []
+    count = len(found.pixel)
     values, design = _design(found, terms, eye)
-    for number in map(int, np.argsort(-left)[: _SUSPECTS * (count > LEAST)]):
-        rest = np.arange(count) != number
-        others = _posterior(found.select(rest), terms[rest], orders, eye)
-        own = [number, count + number]
-        miss = values[own] - design[own] @ others.mean
-        variance = design[own] @ others.covariance @ design[own].T + np.eye(2) * (others.hand * ARCMIN) ** 2
-        if miss @ np.linalg.solve(variance, miss) > _OUTLIER**2:
-            doubtful.append(number + 1)
-    return tuple(sorted(doubtful))
+    while len(doubtful) < _SUSPECTS and count - len(doubtful) > LEAST:
+        missed = {}
+        for number in [each for each in map(int, np.argsort(-left)) if each not in doubtful][:_SUSPECTS]:
+            rest = ~np.isin(np.arange(count), [*doubtful, number])
+            others = _posterior(found.select(rest), terms[rest], orders, eye)
+            own = [number, count + number]
+            miss = values[own] - design[own] @ others.mean
+            variance = design[own] @ others.covariance @ design[own].T + np.eye(2) * (others.hand * ARCMIN) ** 2
+            missed[number] = float(miss @ np.linalg.solve(variance, miss)), others.mean
+        worst = max(missed, key=lambda number: missed[number][0])
+        square, mean = missed[worst]
+        if square <= _OUTLIER**2:
+            break
+        doubtful.append(worst)
+        left = np.linalg.norm((values - design @ mean).reshape(2, count), axis=0)
+    return tuple(sorted(number + 1 for number in doubtful))
 
 
 def _eye(found: Alignments, orders: IntArray, box: Box, posterior: _Posterior, eye: FloatArray) -> Eye:

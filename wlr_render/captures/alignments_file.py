@@ -81,6 +81,7 @@ def load_alignments(path: str | Path) -> Alignments:
         require_length("'eye_box'", eye_box.centre, _DEVICE_M)
         require_length("'point_m'", point, _WORLD_M)
         require_on_panel(pixel, (width, height))
+        _require_single(pixel, point)
         near = eye_box.centre[2] - point[:, 2]
         if near.min() < _NEAREST_M:
             number = int(np.argmin(near)) + 1
@@ -93,3 +94,11 @@ def load_alignments(path: str | Path) -> Alignments:
         if any(timed) and time_s is None:
             raise BadInputError("'time_s' is given for some alignments only; give it for all, or for none.")
     return Alignments(Path(path), device, eye, Panel(int(width), int(height)), eye_box, pixel, point, time_s)
+
+
+def _require_single(pixel: FloatArray, point: FloatArray) -> None:
+    """Refuse copies of an alignment, which would count as further evidence."""
+    first: dict[tuple[float, ...], int] = {}
+    for number, values in enumerate(map(tuple, np.hstack([pixel, point]).tolist()), 1):
+        if (same := first.setdefault(values, number)) != number:
+            raise BadInputError(f"[[alignment]] {number} is a copy of [[alignment]] {same}; remove it.")

@@ -1,5 +1,6 @@
 """`calibrate ALIGNMENTS`: from the file of a wearer to a model that other verbs take."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -78,3 +79,33 @@ def test_what_is_wrong_in_the_file_is_named(alignments: Path, tmp_path: Path) ->
         calibrate(CalibrateOptions(str(alignments), out=out, validate=True))
     with pytest.raises(BadInputError, match=r"--seed is used with a device only, and .* is a file of alignments"):
         calibrate(CalibrateOptions(str(alignments), out=out, seed=2))
+
+
+def changed(path: Path, number: int, **values: list[float]) -> None:
+    """Change keys of one alignment of a file."""
+    content = tomllib.loads(path.read_text())
+    content["alignment"][number].update(values)
+    write_toml(path, content)
+
+
+def test_a_copy_of_an_alignment_is_no_evidence(alignments: Path, tmp_path: Path) -> None:
+    first = tomllib.loads(alignments.read_text())["alignment"][1]
+    changed(alignments, 7, **first)
+    with pytest.raises(BadInputError, match=r"\[\[alignment\]\] 8 is a copy of \[\[alignment\]\] 2; remove it"):
+        calibrate(CalibrateOptions(str(alignments), out=tmp_path / "out"))
+
+
+def test_the_first_sentence_names_an_alignment_that_the_others_contradict(alignments: Path, tmp_path: Path) -> None:
+    changed(alignments, 3, point_m=[0.3, 0.3, -1.0])
+    report = calibrate(CalibrateOptions(str(alignments), out=tmp_path / "out"))
+    assert report.verdict.startswith("Right eye: 12 alignments, of which the others contradict number 4, predict")
+    assert "e+0" not in report.verdict
+    assert report.advice[0].startswith("Align number 4 again, or remove it from ")
+
+
+def test_a_mirrored_panel_is_said(alignments: Path, tmp_path: Path) -> None:
+    assert not any("mirrored" in each for each in calibrate(CalibrateOptions(str(alignments), out=tmp_path)).warnings)
+    for number, each in enumerate(tomllib.loads(alignments.read_text())["alignment"]):
+        changed(alignments, number, pixel=[140.0 - each["pixel"][0], each["pixel"][1]])
+    report = calibrate(CalibrateOptions(str(alignments), out=tmp_path))
+    assert any(each.startswith("The wearer sees the panel mirrored: do the pixels of ") for each in report.warnings)

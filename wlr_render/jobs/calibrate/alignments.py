@@ -16,7 +16,7 @@ from wlr_render.jobs.calibrate.calibrate_options import (
 from wlr_render.jobs.options import ProgressArgument
 from wlr_render.models.registration import model_registration_covariance
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.report.blocks import Cell, Report, ReportTable
+from wlr_render.report.blocks import Cell, Report, ReportTable, decimals
 from wlr_render.work.progress import SILENT
 
 _DEPTHS_M = (0.4, 1.0, 3.0)
@@ -47,11 +47,11 @@ def calibrate_alignments(options: CalibrateOptions, *, progress: ProgressArgumen
     place, sigma = 1e3 * fit.eye_m, 1e3 * fit.eye_sigma_m
     return Report(
         f"Calibration of {found.device}, {found.eye} eye, by alignments",
-        verdict=f"{found.eye.capitalize()} eye: {len(found.pixel)} alignments predict points at 1 m to "
-        f"{predicted[1]:.2g}' rms, at 0.4 m to {predicted[0]:.2g}'. One alignment errs by {fit.hand_arcmin:.2g}' per "
-        f"axis; the eye is at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm, known to ({sigma[0]:.1f}, "
-        f"{sigma[1]:.1f}, {sigma[2]:.1f}) mm.",
-        advice=_advice(found),
+        verdict=f"{found.eye.capitalize()} eye: {len(found.pixel)} alignments{_contradicting(fit)} predict points at "
+        f"1 m to {_arcmin(predicted[1])} rms, at 0.4 m to {_arcmin(predicted[0])}. One alignment errs by "
+        f"{fit.hand_arcmin:.2g}' per axis; the eye is at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm, known to "
+        f"({sigma[0]:.1f}, {sigma[1]:.1f}, {sigma[2]:.1f}) mm.",
+        advice=_advice(found, fit),
         warnings=[*_warnings(found, fit), *notes],
         blocks=tables,
         inputs=[Path(options.path)],
@@ -95,9 +95,21 @@ def _table(found: Alignments, fit: AlignmentFit) -> ReportTable:
     return ReportTable("Alignments", columns, rows)
 
 
-def _advice(found: Alignments) -> list[str]:
+def _contradicting(fit: AlignmentFit) -> str:
+    numbers = ", ".join(map(str, fit.doubtful))
+    return f", of which the others contradict number {numbers}," if numbers else ""
+
+
+def _arcmin(error: float) -> str:
+    return f"{error:.{decimals(error, 2)}f}'"
+
+
+def _advice(found: Alignments, fit: AlignmentFit) -> list[str]:
     distance = found.eye_box.centre[2] - found.point[:, 2]
     steps = []
+    if fit.doubtful:
+        numbers = ", ".join(map(str, fit.doubtful))
+        steps.append(f"Align number {numbers} again, or remove it from {found.path}: it is in the model, and bends it.")
     if distance.max() < _RATIO * distance.min():
         steps.append(
             f"Align points at other distances too: all are {distance.min():.2g} to {distance.max():.2g} m away, which "
@@ -110,7 +122,11 @@ def _advice(found: Alignments) -> list[str]:
 
 def _warnings(found: Alignments, fit: AlignmentFit) -> list[str]:
     warnings = ["The model holds for this wear: align again after the headset has moved on the head."]
-    if fit.doubtful:
-        numbers = ", ".join(map(str, fit.doubtful))
-        warnings.append(f"The other alignments do not predict number {numbers}: repeat, or remove from {found.path}.")
+    corners = np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]]) * found.panel.size_px
+    direction = fit.mappings.display.view_dir_of_pixel(corners, fit.mappings.eye_box.centre).value[:, :2]
+    along, down = direction[1:] - direction[0]
+    if along[0] * down[1] - along[1] * down[0] > 0:
+        warnings.append(
+            f"The wearer sees the panel mirrored: do the pixels of {found.path} run from the panel's left and top?"
+        )
     return warnings
