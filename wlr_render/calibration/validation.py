@@ -34,7 +34,7 @@ from wlr_render.captures.feature_captures import CommonErrors
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_by_turn, tangents_of_dir
 from wlr_render.models.fitted_model import DirectionErrors, FittedDisplay, FittedSeeThrough
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.posterior import Posterior
 
 NOISE, QUARTERS, BANDS = "noise alone", "bootstrap over positions", "cross-validation"
@@ -152,6 +152,27 @@ class Ratio:
         return self.value * self.stated_arcmin
 
 
+def require_testable(captures: Captures) -> None:
+    """Refuse captures whose fit no refit can test, before they are fitted.
+
+    Raises:
+        BadInputError: fewer than `LEAST_POSITIONS` positions, or readings without noise.
+    """
+    for name, part in (("display", captures.display), ("see-through", captures.see_through)):
+        if part is not None:
+            _require_testable(name, part.capture, part.sigma_arcmin)
+
+
+def _require_testable(name: str, capture: IntArray, sigma_arcmin: FloatArray) -> None:
+    if (count := len(np.unique(capture))) < LEAST_POSITIONS:
+        raise BadInputError(
+            f"--validate needs a model of {LEAST_POSITIONS} camera positions or more, and the {name} has {count}; "
+            "add positions, or leave it out."
+        )
+    if not np.any(sigma_arcmin > 0):
+        raise BadInputError("--validate tests errors, and these captures are stated to be exact; leave it out.")
+
+
 def refits(fit: Calibration, seed: int = 1) -> list[Refit]:
     """Return the refits that test the errors of a fit; readings that it does not use are in none.
 
@@ -163,13 +184,7 @@ def refits(fit: Calibration, seed: int = 1) -> list[Refit]:
         BadInputError: fewer than `LEAST_POSITIONS` positions, or readings without noise.
     """
     for name, side in fit.sides.items():
-        if (count := len(np.unique(side.captures.capture[_sound(side)]))) < LEAST_POSITIONS:
-            raise BadInputError(
-                f"--validate needs a model of {LEAST_POSITIONS} camera positions or more, and the {name} has {count}; "
-                "add positions, or leave it out."
-            )
-        if not np.any(side.captures.sigma_arcmin > 0):
-            raise BadInputError("--validate tests errors, and these captures are stated to be exact; leave it out.")
+        _require_testable(name, side.captures.capture[_sound(side)], side.captures.sigma_arcmin)
     rng = np.random.default_rng(seed)
     tested = {name: _tested(side, rng) for name, side in fit.sides.items()}
     found = [_noise_alone(number, fit, tested, np.random.default_rng([seed, number])) for number in range(_REFITS)]

@@ -101,3 +101,4 @@ def test_too_few_positions_are_refused_in_one_sentence(flat_image_headset: Eye, 
     fit = FitOptions(degree=1, see_through_degree=1)
     with pytest.raises(BadInputError, match="8 camera positions or more, and the display has 4; add positions"):
         calibrate(CalibrateOptions(str(path), out=tmp_path / "out", fit=fit, validate=True))
+    assert not (tmp_path / "out").exists()  # refused before the fit

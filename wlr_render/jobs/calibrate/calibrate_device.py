@@ -42,7 +42,7 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
     comparisons: dict[str, KindComparison] = {}
     for eye, truth in progress(truths.items(), len(truths), "eyes"):
         captures[eye] = simulate_captures(truth, options)
-        comparison = comparisons[eye] = options.fit.fit(captures[eye])
+        comparison = comparisons[eye] = options.fit_of(captures[eye])
         fit = comparison.chosen
         fields = {} if truth.field is None else {"in the nominal field": truth.field}
         tests = {

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from wlr_render.calibration.fit_alignments import AlignmentFit
 from wlr_render.calibration.fit_eye import KINDS_BY_PRESCRIPTION, Calibration, KindComparison, calibrate, fit_kinds
+from wlr_render.calibration.validation import require_testable
 from wlr_render.captures.alignments_file import is_alignments
 from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.photo_session import CHANNELS
@@ -217,6 +218,16 @@ class CalibrateOptions(SpreadOptions):
         limits.ROTATION_URAD,
     ] = 0.0
     seed: Annotated[int, described("Seed of all random numbers.", group=_DEVICE), SEEDS] = 1
+
+    def fit_of(self, captures: Captures) -> KindComparison:
+        """Fit as `fit` says.
+
+        Raises:
+            BadInputError: as `FitOptions.fit`, or `--validate` cannot test the fit.
+        """
+        if self.validate:
+            require_testable(captures)
+        return self.fit.fit(captures)
 
     @property
     def subject(self) -> Subject:

@@ -35,7 +35,7 @@ def calibrate_captures(options: CalibrateOptions, *, progress: ProgressArgument 
     progress.say("fitting the models")
     captures = captures_of(*load_session(path, options.bench)).in_colour() if path.is_dir() else load_captures(path)
     with prefix_errors(path):
-        comparison = options.fit.fit(captures)
+        comparison = options.fit_of(captures)
     fit, folder = comparison.chosen, output_folder(options.out)
     is_own = path.resolve() == (folder / f"captures-{fit.mappings.eye}.npz").resolve()
     remove_results(folder, [fit.mappings.eye], keep_captures=is_own)

@@ -55,7 +55,7 @@ def calibrated(options: CalibrateOptions, *, progress: ProgressArgument = SILENT
     progress.say("calibrating the bench, fitting the models")
     with prefix_errors(Path(options.path)):
         try:
-            return calibrate_session(session, reading, folder, options.fit.fit)
+            return calibrate_session(session, reading, folder, options.fit_of)
         except RefusedCalibrationError as refused:
             _save_refusal(refused, session, options)
             raise BadInputError(f"{refused} What was read and found is in {folder / 'report.html'}.") from refused
