@@ -40,7 +40,6 @@ THEIRS = {
     "board.toml",
     "device.toml",
     "manifest.toml",
-    "manifest.csv",
     "report.md",
 }
 PLACES = [

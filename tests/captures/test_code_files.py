@@ -84,16 +84,10 @@ def test_a_manifest_gives_any_file_its_role(tmp_path: Path) -> None:
     names = [f"shot{n}.png" for n in rng.permutation(len(NAMES))]
     write(tmp_path, names)
     write_photograph(tmp_path / "lamp.png", shown(0))
-    rows = [f"{name},{role[2:]},{role[0]}" for name, role in zip(names[2:], NAMES[2:], strict=True)]
-    table = "\n".join(["file,role,axis", f"{names[0]},white,", f"{names[1]},black,", "lamp.png,unused,", *rows])
-    for text in (
-        table,
-        "\ufeff" + table.replace(",", ";").replace("\n", "\r\n"),
-        table.replace(",", "\t"),
-        "sep=;\n" + table.replace(",", ";"),
-    ):
-        (tmp_path / "manifest.csv").write_bytes(text.encode())
-        assert_right(decoded(tmp_path)[1])
+    said = [role.replace("u ", "Column_").replace("v ", "y ") for role in NAMES]
+    rows = [f'"{name}" = "{role}"' for name, role in zip(names, said, strict=True)]
+    (tmp_path / "manifest.toml").write_text("\n".join(["[files]", '"lamp.png" = "unused"', *rows]))
+    assert_right(decoded(tmp_path)[1])
     roles = "\n".join(f'"{name}" = "{role}"' for name, role in zip(names, NAMES, strict=True) if role != "v bit 3")
     (tmp_path / "elsewhere.toml").write_text(f"[files]\n{roles}\n")
     files, result = decoded(tmp_path, manifest=tmp_path / "elsewhere.toml")
@@ -141,6 +135,13 @@ def test_exposures_are_merged_so_that_dark_and_bright_parts_decode(tmp_path: Pat
         shares[folder.name] = result.accepted.mean()
     assert sorted(find_code_files(tmp_path, pattern.names()).exposures_s) == [0.001, 0.008, 0.064]
     assert shares[tmp_path.name] > 0.9 > 0.7 > shares["8ms"]
+    taken = [(path.relative_to(tmp_path), path.stem[4:].replace("_", " ")) for path in tmp_path.glob("*/*.png")]
+    times = [f'"{path}" = {path.parent.name[:-2]}e-3' for path, _ in taken]
+    roles = [f'"{path}" = "{label}"' for path, label in taken]
+    (tmp_path / "manifest.toml").write_text("\n".join(["[files]", *roles, "[exposures_s]", *times]))
+    files = find_code_files(tmp_path, pattern.names())
+    assert files.exposures_s == (0.001, 0.008, 0.064)
+    assert all([path.parent.name for path in paths] == ["1ms", "8ms", "64ms"] for paths in files.pictures)
 
 
 def test_exposures_without_a_time_are_refused(tmp_path: Path) -> None:

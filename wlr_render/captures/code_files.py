@@ -1,6 +1,5 @@
 """Files of a set of code photographs: the picture that each shows, and its exposures."""
 
-import csv
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -15,11 +14,10 @@ from wlr_render.captures.photo_session import CODE_ORDERS
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import SUFFIXES, CodeImage, exposure_of, photographs_in, read_each, read_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.io.delimited_text import STATED_SEPARATOR, separator_of
-from wlr_render.io.input_files import as_bad_input, inside_folder, read_text, shown
+from wlr_render.io.input_files import inside_folder
 from wlr_render.io.toml_files import read_toml
 
-MANIFESTS = ("manifest.toml", "manifest.csv")
+MANIFEST = "manifest.toml"
 _AXES = {"u": "u", "x": "u", "column": "u", "columns": "u", "v": "v", "y": "v", "row": "v", "rows": "v"}
 _ROLE = re.compile(r"[uv] (bit \d+( inverse)?|fringe .+ step \d+)")
 """Role of a picture of any code, other than white and black."""
@@ -154,19 +152,18 @@ def find_code_files(
         names: names of the pattern's pictures in the order of showing.
         order: one of `CODE_ORDERS`, for files whose roles are not named: white and black first, or last as in OpenCV's
             `GrayCodePattern`.
-        manifest: file that names the roles; None: manifest.toml or manifest.csv in the folder, if there is one.
+        manifest: file that names the roles; None: manifest.toml in the folder, if there is one.
 
     Raises:
         BadInputError: photographs are missing or left over, a role is unknown or given twice, or an exposure time is
             unknown; the sentence names the file and the remedy.
     """
-    manifest = manifest or next((folder / name for name in MANIFESTS if (folder / name).is_file()), None)
     stated: dict[str, float] = {}
-    roles: dict[str, str] = {}
-    if manifest is not None:
+    if manifest is not None or (folder / MANIFEST).is_file():
+        manifest = manifest or folder / MANIFEST
         order, roles, stated = _read_manifest(manifest, order)
-    if roles:
-        return _by_manifest(manifest or folder, folder, roles, stated, names)
+        if roles:
+            return _by_manifest(manifest, folder, roles, stated, names)
     below = _exposure_folders(folder)
     if below:
         times = [_exposure_time(each, stated) for each in below]
@@ -184,42 +181,18 @@ def find_code_files(
 
 def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[str, float]]:
     """Return the order of showing, role by file name, and exposure time in seconds by file or folder name."""
-    if path.suffix == ".toml":
-        table = read_toml(path)
-        order = table.text("order", order, choices=CODE_ORDERS)
-        roles, times = table.raw_table("files"), table.raw_table("exposures_s")
-        table.finish()
-        if not all(isinstance(role, str) for role in roles.values()):
-            raise table.fail('[files] must give each file name a role, such as "0.png" = "u bit 10".')
-        if not all(type(time) in (int, float) and 0 < time <= _LONGEST_S for time in times.values()):
-            raise table.fail(
-                f"[exposures_s] must give each file or folder a time in seconds above 0, and at most {_LONGEST_S:g}; "
-                "correct it."
-            )
-        return order, roles, {name: float(time) for name, time in times.items()}
-    roles, times = {}, {}
-    text = read_text(path, "CSV")
-    with as_bad_input(path, "CSV"):
-        lines = text.split("\n")
-        first = int(STATED_SEPARATOR.fullmatch(lines[0].strip()) is not None)
-        lines = lines[first:] or [""]
-        rows = list(csv.DictReader(lines, skipinitialspace=True, delimiter=separator_of(lines[0]) or ","))
-    if not rows:
-        raise BadInputError(f"{path}: has no rows; give each photograph a line under the header file, role, axis.")
-    for number, row in enumerate(rows, start=first + 2):
-        if not row.get("file") or not row.get("role"):
-            raise BadInputError(f"{path}: line {number} has no 'file' or no 'role'; the columns are file, role, axis.")
-        if row["file"] in roles:
-            raise BadInputError(f"{path}: line {number} names {shown(row['file'])} again; give each file one line.")
-        roles[row["file"]] = f"{row.get('axis') or ''} {row['role']}".strip()
-        if row.get("exposure_s"):
-            with as_bad_input(f"{path}: line {number}: exposure_s", "a number of seconds", "correct it"):
-                times[row["file"]] = float(row["exposure_s"].replace(",", "."))
-            if not 0 < times[row["file"]] <= _LONGEST_S:
-                raise BadInputError(
-                    f"{path}: line {number}: exposure_s is {shown(row['exposure_s'])}; give seconds above 0."
-                )
-    return order, roles, times
+    table = read_toml(path)
+    order = table.text("order", order, choices=CODE_ORDERS)
+    roles, times = table.raw_table("files"), table.raw_table("exposures_s")
+    table.finish()
+    if not all(isinstance(role, str) for role in roles.values()):
+        raise table.fail('[files] must give each file name a role, such as "0.png" = "u bit 10".')
+    if not all(type(time) in (int, float) and 0 < time <= _LONGEST_S for time in times.values()):
+        raise table.fail(
+            f"[exposures_s] must give each file or folder a time in seconds above 0, and at most {_LONGEST_S:g}; "
+            "correct it."
+        )
+    return order, roles, {name: float(time) for name, time in times.items()}
 
 
 def _by_manifest(
@@ -293,7 +266,7 @@ def _by_name(paths: Sequence[Path], names: Sequence[str], order: str, folder: Pa
     if not places:
         raise BadInputError(
             f"{folder}: holds {len(paths)} photographs, but the code has {len(names)} pictures; give one photograph a "
-            f"picture, or name their pictures in {MANIFESTS[0]}."
+            f"picture, or name their pictures in {MANIFEST}."
         )
     for path, place in zip(paths, places, strict=True):
         files[shown[place]] = (path,)
@@ -329,7 +302,7 @@ def _check_code(paths: Sequence[Path], stated: Sequence[str], roles: Sequence[in
     if unnamed and len(unnamed) < len(paths):
         raise BadInputError(
             f"{unnamed[0]}: its name states no picture of the code, unlike other names in its folder; "
-            f"remove it, or name all pictures in {MANIFESTS[0]}."
+            f"remove it, or name all pictures in {MANIFEST}."
         )
 
 
@@ -364,7 +337,7 @@ def _exposure_time(path: Path, stated: dict[str, float], name: str = "") -> floa
     if match:
         return float(match[1]) * _SECONDS[match[2]]
     raise BadInputError(
-        f"{path}: its exposure time is unknown; state it in {MANIFESTS[0]} under [exposures_s], or name the folder "
+        f"{path}: its exposure time is unknown; state it in {MANIFEST} under [exposures_s], or name the folder "
         "after it, such as 4ms."
     )
 

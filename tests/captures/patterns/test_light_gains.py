@@ -117,8 +117,8 @@ def test_a_manifest_names_the_whites_in_the_order_of_taking(tmp_path: Path, toy_
     roles = [path.stem[4:].replace("_", " ") for path in paths]
     for number, path in enumerate(paths):
         path.rename(path.with_name(f"{chr(122 - number % 26)}{number}.png"))
-    rows = [f"{chr(122 - number % 26)}{number}.png,{role}" for number, role in enumerate(roles)]
-    (tmp_path / "set" / "manifest.csv").write_text("file,role\n" + "\n".join(rows) + "\n")
+    rows = [f'"{chr(122 - number % 26)}{number}.png" = "{role}"' for number, role in enumerate(roles)]
+    (tmp_path / "set" / "manifest.toml").write_text("\n".join(["[files]", *rows]))
     files = find_code_files(tmp_path / "set", pattern.names())
     assert [place for place, _ in files.whites] == [number for number, role in enumerate(roles) if role == "white"][1:]
     assert rms(camera, decoded(files, pattern)) < 0.03

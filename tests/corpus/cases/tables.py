@@ -257,13 +257,6 @@ def _codes() -> Iterator[Case]:
         yield Case(
             f"decode manifest: {title}", DECODE, ("codes",), written("codes/manifest.toml", text), ("manifest.toml",)
         )
-    for title, text in (
-        ("nothing", ""),
-        ("noise", "\0\1\2"),
-        ("a picture above", "file,image\n../x.png,0\n"),
-        ("text", "file,image\n00.png,a\n"),
-    ):
-        yield Case(f"decode table: {title}", DECODE, ("codes",), written("codes/manifest.csv", text), ("manifest.csv",))
     yield Case(
         "decode: a photograph missing", DECODE, ("codes",), lambda f: (f / "codes/07.png").unlink(), expected="any"
     )
