@@ -187,7 +187,8 @@ def pooled(outcomes: Sequence[Outcome], measure: str) -> float:
 def error_curves(title: str, x_title: str, lines: Lines, predicted: Lines | None = None) -> Plot:
     """Plot forward errors and predicted errors on a logarithmic scale; names are "EYE, MODEL"."""
     axes = (x_title, "forward rms (arcmin)")
-    return curves(title, lines, axes, log_y=True, grouped=predicted is None, predicted=predicted)
+    dashed = {f"{name}, predicted": points for name, points in (predicted or {}).items()}
+    return curves(title, {**lines, **dashed}, axes, log_y=True, grouped=True)
 
 
 def box_text(box: Sequence[float]) -> str:

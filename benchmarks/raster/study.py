@@ -224,7 +224,11 @@ class _Compared:
         """Plot the error map."""
         title, angle = f"Registration error, {eye} eye", self.error.raster.registration_arcmin
         caption = f"Error on the panel ({_FIRST}), disoccluded pixels included; empty without content."
-        return heat_map(title, angle, "arcmin", limits=ERROR_LIMITS_ARCMIN, log=True, caption=caption)
+        low, high = ERROR_LIMITS_ARCMIN
+        decades = np.log10(np.maximum(angle, low))
+        return heat_map(
+            title, decades, "log10 arcmin", limits=(float(np.log10(low)), float(np.log10(high))), caption=caption
+        )
 
     def _draw(self, path: Path, title: str) -> Path:
         from matplotlib.colors import LogNorm

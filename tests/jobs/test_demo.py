@@ -118,7 +118,7 @@ def test_the_verdict_has_the_figures_of_planar_static_and_naive(finished: tuple[
 
 
 def test_the_plot_of_the_distribution_agrees_with_the_table(finished: tuple[Any, Path]) -> None:
-    _, plot = [block for block in finished[0].blocks if isinstance(block, Plot)]
+    (plot,) = [block for block in finished[0].blocks if isinstance(block, Plot)]
     for trace, row in zip(plot.data, overall_rows(finished[0]), strict=True):
         assert trace["name"] == row[0]
         at = dict(zip(trace["y"], trace["x"], strict=True))
@@ -133,17 +133,12 @@ def test_the_predicted_error_of_the_planar_models_is_about_the_true_one(finished
     assert (len(rows), name) == (5, "all")
     assert 0.7 < predicted / true < 1.4
     assert all(0.5 < each[1] / each[2] < 2.0 for each in rows)
-    maps, _ = [block for block in finished[0].blocks if isinstance(block, Plot)]
-    logs = [np.array(trace["z"], dtype=float) for trace in maps.data]
-    assert [np.isfinite(each).sum() > 500 for each in logs] == [True, True]
-    of_maps = [np.sqrt(np.nanmean(10.0 ** (2.0 * each))) for each in logs]
-    np.testing.assert_allclose(of_maps, [predicted, true], rtol=0.1)
 
 
 @needs_browser
 def test_the_page_opens_with_its_plot(finished: tuple[Any, Path], tmp_path: Path) -> None:
     page = open_page(finished[1] / "report.html", tmp_path)
-    assert (page.console, page.plots) == ([], 2)
+    assert (page.console, page.plots) == ([], 1)
 
 
 def test_in_the_eyes_picture_the_twin_lies_on_the_object_only_where_the_pupil_is_known(

@@ -1,7 +1,6 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 from browser import needs_browser, open_page
 
 from wlr_render.report.blocks import Report
@@ -23,29 +22,12 @@ def test_a_large_map_keeps_its_worst_pixels_and_says_that_it_is_reduced() -> Non
     assert plot.caption == "On the panel. Each cell shows the maximum of 3 x 3 pixels."
 
 
-def test_logarithmic_colours_have_marks_at_decades() -> None:
-    plot = heat_map("Error", np.array([[0.01, 1.0], [0.0, np.nan]]), "px", limits=(2e-3, 10.0), log=True)
-    trace = plot.data[0]
-    np.testing.assert_allclose(trace["z"], np.array([[-2, 0], [-12, np.nan]]))
-    np.testing.assert_allclose(trace["customdata"], [[0.01, 1.0], [0.0, np.nan]])
-    assert list(trace["colorbar"]["ticktext"]) == ["0.01", "0.1", "1", "10"]
-    assert trace["zmin"] == pytest.approx(np.log10(2e-3))
-
-
 def test_grouped_curves_share_colours_by_group_and_dashes_by_kind() -> None:
     points = ([1, 2], [3.0, 4.0])
     plot = curves("Error", dict.fromkeys(("a, x", "a, y", "b, x"), points), ("N", "rms"), grouped=True)
     (ax, ay, bx) = (trace["line"] for trace in plot.data)
     assert ax["color"] == ay["color"] != bx["color"]
     assert ax["dash"] == bx["dash"] != ay["dash"]
-
-
-def test_predicted_values_are_dashed_in_the_colour_of_their_curve() -> None:
-    lines = {"a": ([1, 2], [3.0, 4.0]), "b": ([1, 2], [5.0, 6.0])}
-    a, b, a_predicted, b_predicted = curves("E", lines, ("N", "rms"), predicted={"a": ([1], [7]), "b": ([1], [8])}).data
-    assert a["line"]["color"] == a_predicted["line"]["color"] != b["line"]["color"]
-    assert ("dash" in a["line"], a_predicted["line"]["dash"]) == (False, "dash")
-    assert (b_predicted["name"], list(b_predicted["y"])) == ("b, predicted", [8])
 
 
 def test_blocks_at_the_border_have_the_remaining_pixels() -> None:
@@ -89,7 +71,7 @@ def test_plots_of_every_kind_open_in_a_browser(tmp_path: Path) -> None:
     arrows = {name: (place, np.ones((30, 2))) for name in "ab"}
     plots = [
         curves("Curve", {"a": ([1, 10], [0.1, np.nan]), "b": ([1, 10], [2, 3])}, ("x (px)", "y"), log_x=True),
-        heat_map("Map", np.array([[0.1, np.nan], [2.0, np.inf]]), "arcmin", log=True, limits=(0.1, 10)),
+        heat_map("Map", np.array([[0.1, np.nan], [2.0, np.inf]]), "arcmin", limits=(0.1, 10)),
         bars("Sigma", ["one", "two"], {"x": [1.0, np.nan], "y": [2.0, 3.0]}, "mm"),
         arrow_map("Residual", arrows, "px", ("u", "v")),
         arrow_map("Panels", {"a": (place, place, -place)}, "px", ("u", "v"), panels=("before", "after")),
@@ -100,7 +82,7 @@ def test_plots_of_every_kind_open_in_a_browser(tmp_path: Path) -> None:
 
 def test_small_heat_maps_share_one_logarithmic_scale() -> None:
     maps = {"large": np.array([[1.0, 10.0], [np.nan, 0.0]]), "small": np.full((2, 2), 1e-6)}
-    plot = small_heat_maps("Sources", maps, "arcmin", columns=2)
+    plot = small_heat_maps("Sources", maps, "arcmin")
     assert [trace["coloraxis"] for trace in plot.data] == ["coloraxis", "coloraxis"]
     scale = plot.layout["coloraxis"]
     assert (scale["cmin"], scale["cmax"]) == (-2.0, 1.0)  # three decades: less shows nothing

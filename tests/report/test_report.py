@@ -125,15 +125,6 @@ def test_text_of_files_forges_no_markup_anywhere(tmp_path: Path) -> None:
     assert json.loads(record)["title"] == HOSTILE
 
 
-def test_a_picture_may_lead_to_a_page_beside_the_report(tmp_path: Path) -> None:
-    picture = write_png(tmp_path / "a.png", np.full((4, 5, 3), 77, np.uint8)) or tmp_path / "a.png"
-    blocks = [Picture("P", picture, link="run 1/report.html"), Picture("Q", picture, link='javascript:"<')]
-    page, text, _ = (path.read_text() for path in save_report(Report("T", blocks=blocks), tmp_path, "report").files)
-    assert re.findall(r'<a href="(.*?)"><img', page) == ["run%201/report.html", "javascript%3A%22%3C"]
-    assert "[![P](a.png)](run%201/report.html)" in text
-    assert "[![Q](a.png)](javascript%3A%22%3C)" in text
-
-
 def test_words_of_a_figure_are_no_formula(tmp_path: Path) -> None:
     figure = Figure()
     axes = figure.subplots()

@@ -1,8 +1,5 @@
 """Lateral colour of a headset: the error of using one map for all colours."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 from wlr_render.evaluation.device_figures import judged_pixels
 from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import directions, rays
@@ -15,32 +12,25 @@ DEPTH_M = 2.0
 _COLUMNS, _ROWS = 41, 31  # sampled directions in the nominal field, or pixels on the panel
 
 
-@dataclass(frozen=True, eq=False)
-class LateralColour:
-    """Angles between one colour and green, (n,) arcminutes; NaN where either is not visible.
+def lateral_colour(green: Eye, other: Eye, viewpoint: FloatArray, pixel: FloatArray) -> dict[str, FloatArray]:
+    """Return angles between one colour and green (n,) by name, arcminutes; NaN where either is not visible.
 
-    Attributes:
-        display: angle between the view directions of a pixel.
-        see_through: angle between the view directions of a real point.
-        world_ray: angle at the viewpoint between the points at `DEPTH_M` on a pixel's rays: the image error if one map
-            serves both colours.
-    """
+    Args:
+        green, other: the eye in both colours.
+        viewpoint: (3,) device frame, metres.
+        pixel: (n, 2) panel pixels.
 
-    display: FloatArray
-    see_through: FloatArray
-    world_ray: FloatArray
-
-
-def lateral_colour(green: Eye, other: Eye, viewpoint: FloatArray, pixel: FloatArray) -> LateralColour:
-    """Compare one colour with green at pixels (n, 2) from a viewpoint (3,).
-
-    The real points are at `DEPTH_M` on the green rays of the pixels.
+    Returns:
+        display: between the view directions of a pixel. see-through: between the view directions of a real point, at
+        `DEPTH_M` on the pixel's green ray. world ray: at the viewpoint between the points at `DEPTH_M` on the pixel's
+        rays, the image error if one map serves both colours.
     """
     seen = [colour.display.view_dir_of_pixel(pixel, viewpoint).value for colour in (green, other)]
     points = [_point_along(colour, view_dir, viewpoint) for colour, view_dir in zip((green, other), seen, strict=True)]
     through = [colour.see_through.view_dir_of_real_point(points[0], viewpoint).value for colour in (green, other)]
     places = [directions.normalised(point - viewpoint) for point in points]
-    return LateralColour(*(directions.arcmin_between(*pair) for pair in (seen, through, places)))
+    pairs = {"display": seen, "see-through": through, "world ray": places}
+    return {name: directions.arcmin_between(*pair) for name, pair in pairs.items()}
 
 
 def _point_along(mappings: Eye, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:
@@ -49,20 +39,22 @@ def _point_along(mappings: Eye, view_dir: FloatArray, viewpoint: FloatArray) -> 
     return rays.split(rays.at_z(real, viewpoint[2] - DEPTH_M))[0]
 
 
-def lateral_colour_table(headsets: Sequence[EyeChannels]) -> ReportTable:
-    """Tabulate rms and largest angles over the field from the eye box's centre, for headsets in red, green and blue."""
-    rows: list[list[Cell]] = []
-    for red, green, blue in headsets:
-        pixel = judged_pixels(green, _COLUMNS, _ROWS)
-        for name, other in (("red", red), ("blue", blue)):
-            angles = lateral_colour(green, other, green.eye_box.centre, pixel)
-            figures = map(summary, (angles.display, angles.see_through, angles.world_ray))
-            rows.append([green.name, name, *(value for kind in figures for value in (kind.rms, kind.maximum))])
-    kinds = ("display", "see-through", "world ray")
-    columns = ("headset", "against green", *(f"{kind} {what}" for kind in kinds for what in ("rms", "max")))
+def lateral_colour_table(channels: EyeChannels) -> ReportTable:
+    """Tabulate rms and largest angles over the field from the eye box's centre, for an eye in red, green and blue."""
+    red, green, blue = channels
+    pixel = judged_pixels(green, _COLUMNS, _ROWS)
+    found = {
+        name: {kind: summary(each) for kind, each in lateral_colour(green, other, green.eye_box.centre, pixel).items()}
+        for name, other in (("red", red), ("blue", blue))
+    }
+    rows: list[list[Cell]] = [
+        [green.name, name, *(value for each in kinds.values() for value in (each.rms, each.maximum))]
+        for name, kinds in found.items()
+    ]
+    heads = (f"{kind} {what}" for kind in found["red"] for what in ("rms", "max"))
     notes = (
         f"Arcminutes; {_COLUMNS} x {_ROWS} directions over the nominal field, or pixels where none is stated.",
         f"The world is at {DEPTH_M:g} m.",
         "A device file that gives a medium one constant index has no colour in it, whatever its glass has.",
     )
-    return ReportTable("Lateral colour", columns, rows, notes)
+    return ReportTable("Lateral colour", ("headset", "against green", *heads), rows, notes)

@@ -6,6 +6,7 @@ parser becomes one sentence. `LIMITS` has the sizes.
 
 import contextlib
 import contextvars
+import gzip
 import hashlib
 import io
 import math
@@ -14,7 +15,6 @@ import re
 import reprlib
 import stat
 import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -235,19 +235,14 @@ def gunzip(path: str | Path, content: bytes, at_most: int) -> bytes:
     Raises:
         BadInputError: the content is not gzip, is cut short, or has more than `at_most` bytes decompressed.
     """
-    parts, length = [], 0
-    with as_bad_input(path, "a gzip file", _REWRITE):
-        while content:
-            stream = zlib.decompressobj(wbits=31)
-            part = stream.decompress(content, at_most - length + 1)
-            length += len(part)
-            if length > at_most:
-                raise BadInputError(f"{path}: decompresses to more than {_size(at_most)}; {_REWRITE}.")
-            if not stream.eof:
-                raise BadInputError(f"{path}: is cut short; {_REWRITE}.")
-            parts.append(part)
-            content = stream.unused_data
-    return b"".join(parts)
+    with as_bad_input(path, "a gzip file", _REWRITE), gzip.open(io.BytesIO(content)) as file:
+        try:
+            whole = file.read(at_most + 1)
+        except EOFError as error:
+            raise BadInputError(f"{path}: is cut short; {_REWRITE}.") from error
+    if len(whole) > at_most:
+        raise BadInputError(f"{path}: decompresses to more than {_size(at_most)}; {_REWRITE}.")
+    return whole
 
 
 def read_arrays(path: str | Path, kind: str) -> dict[str, NDArray[Any]]:

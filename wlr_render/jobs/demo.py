@@ -73,7 +73,7 @@ from wlr_render.numerics.srgb import decode_srgb, encode_srgb
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Block, Picture, Plot, Report, ReportTable, Section, cell_text, table
-from wlr_render.report.plots import curves, small_heat_maps
+from wlr_render.report.plots import curves
 from wlr_render.scene.image_files import write_png
 from wlr_render.scene.scene import Scene
 from wlr_render.scene.scene_file import load_scene, scene_path
@@ -170,7 +170,6 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
                 _overall(truth, scene, len(seen), errors),
                 _by_viewpoint(seen),
                 _predictions(seen),
-                _prediction_maps(truth, seen),
                 _distribution(seen),
             ]
     return Report(
@@ -312,27 +311,12 @@ def _predictions(seen: list[_View]) -> ReportTable:
 
 def _predicted_and_true(seen: list[_View]) -> tuple[float, float]:
     """Rms over the viewpoints, arcminutes, of the pixels that have both."""
-    predicted, true = (np.stack(each) for each in zip(*(_prediction_of(view) for view in seen), strict=True))
+    planar = _planar_of(seen[0].misalignment)
+    predicted, true = (
+        np.stack(each) for each in zip(*((e.predicted, e.misalignment[planar]) for e in seen), strict=True)
+    )
     both = np.isfinite(predicted + true)
     return summary(predicted[both]).rms, summary(true[both]).rms
-
-
-def _prediction_of(view: _View) -> tuple[FloatArray, FloatArray]:
-    return view.predicted, view.misalignment[_planar_of(view.misalignment)]
-
-
-def _prediction_maps(truth: Eye, seen: list[_View]) -> Plot:
-    predicted, true = (np.stack(each) for each in zip(*(_prediction_of(view) for view in seen), strict=True))
-    both = np.isfinite(predicted + true)
-    count = both.sum(axis=0)
-    maps = {}
-    for name, each in (("predicted", predicted), ("true", true)):
-        square = np.where(both, each, 0.0) ** 2
-        maps[name] = np.where(count > 0, np.sqrt(square.sum(axis=0) / np.maximum(count, 1)), np.nan)
-    cell = truth.display.panel.width_px / _GRID[0]
-    caption = "By place on the panel, rms over the viewpoints that show the scene there; one logarithmic scale."
-    title = "Predicted and true misalignment of the planar models"
-    return small_heat_maps(title, maps, "arcmin", columns=2, cell=cell, caption=caption)
 
 
 def _distribution(seen: list[_View]) -> Plot:

@@ -122,7 +122,7 @@ def _figures(spec: str, device: Device, eye: EyeName) -> tuple[DeviceFigures, li
             f"{spec}: no direction of the nominal field of the {eye} eye meets the panel; check the surfaces, the "
             "panel and 'field_deg'."
         )
-    return figures, [figures_table(middle, figures), lateral_colour_table([open_colours(spec, eye)])]
+    return figures, [figures_table(middle, figures), lateral_colour_table(open_colours(spec, eye))]
 
 
 def _bends_nothing_yet(optics: EyeOptics, losses: tuple[SurfaceLosses, ...]) -> bool:

@@ -138,13 +138,11 @@ class Picture:
         title: one line.
         path: a PNG file.
         caption: one sentence about the content; also the alternative text.
-        link: target of a click on the picture, relative to the report's folder.
     """
 
     title: str
     path: Path
     caption: str = ""
-    link: str = ""
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ _ARROW_SHARE = 0.05
 """Length of the reference arrow, as a share of the map's width."""
 _MARGIN = 0.06  # margin left and right of panels side by side, as a share of the map's width
 
+_ACROSS = 3  # maps in a row
 _DECADES = 3.0  # range of the logarithmic scale that maps share; smaller values have the first colour
 
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
@@ -38,7 +39,6 @@ def curves(
     log_x: bool = False,
     log_y: bool = False,
     grouped: bool = False,
-    predicted: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
     caption: str = "",
 ) -> Plot:
     """Plot named curves (x, y) in one diagram.
@@ -50,7 +50,6 @@ def curves(
         log_x, log_y: logarithmic axes.
         grouped: names are "GROUP, KIND", e.g. a device and its model; each group has a colour, each kind a dash
             pattern, and the points are marked.
-        predicted: predicted x and y by the name of the curve, dashed in its colour. Exclusive with `grouped`.
         caption: one sentence about the content.
     """
     data: list[dict[str, Any]] = [
@@ -64,17 +63,8 @@ def curves(
             colour, dash = list(groups).index(group), list(kinds).index(kind)
             line = {"color": _COLOURS[colour % len(_COLOURS)], "dash": _DASHES[dash % len(_DASHES)]}
             trace |= {"mode": "lines+markers", "line": line}
-    if predicted is not None:
-        for number, trace in enumerate(data):
-            trace |= {"mode": "lines+markers", "line": {"color": _COLOURS[number % len(_COLOURS)]}}
-        data += [_dashed(trace, predicted[trace["name"]]) for trace in data]
     layout = {"xaxis": axis(axes[0], log_x), "yaxis": axis(axes[1], log_y), "hovermode": "closest"}
     return Plot(title, data, layout, caption)
-
-
-def _dashed(curve: dict[str, Any], points: tuple[ArrayLike, ArrayLike]) -> dict[str, Any]:
-    x, y = (_rounded(each) for each in points)
-    return curve | {"name": f"{curve['name']}, predicted", "x": x, "y": y, "line": curve["line"] | {"dash": "dash"}}
 
 
 def heat_map(
@@ -83,7 +73,6 @@ def heat_map(
     unit: str,
     *,
     limits: tuple[float, float] | None = None,
-    log: bool = False,
     cell: float = 1.0,
     caption: str = "",
 ) -> Plot:
@@ -95,22 +84,16 @@ def heat_map(
             says so.
         unit: unit of the values.
         limits: values of the first and the last colour; None for the range of the values.
-        log: logarithmic colours.
         cell: side of a pixel of the image, in panel pixels.
         caption: one sentence about the content.
     """
     height, width = values.shape
     block = max(1, -(-max(height, width) // MAX_CELLS))
     cells = block_maxima(values, block)
-    shown = np.log10(np.maximum(cells, 1e-12)) if log else cells
     colours: dict[str, Any] = {"colorscale": "Viridis", "colorbar": {"title": {"text": unit}}}
     if limits is not None:
-        low, high = np.log10(limits) if log else limits
-        colours |= {"zmin": float(low), "zmax": float(high)}
-        if log:
-            decades = np.arange(np.ceil(low), np.floor(high) + 1)
-            colours["colorbar"] |= {"tickvals": decades, "ticktext": [f"{10.0**decade:g}" for decade in decades]}
-    trace = _cells(cells, shown, cell * block, unit) | colours
+        colours |= {"zmin": limits[0], "zmax": limits[1]}
+    trace = _cells(cells, cells, cell * block, unit) | colours
     layout = {
         "xaxis": axis("u (px)") | {"constrain": "domain"},
         "yaxis": axis("v (px)") | {"autorange": "reversed", "scaleanchor": "x", "constrain": "domain"},
@@ -120,7 +103,7 @@ def heat_map(
 
 
 def small_heat_maps(
-    title: str, maps: Mapping[str, FloatArray], unit: str, *, columns: int = 3, cell: float = 1.0, caption: str = ""
+    title: str, maps: Mapping[str, FloatArray], unit: str, *, cell: float = 1.0, caption: str = ""
 ) -> Plot:
     """Plot named maps (height, width) of equal size side by side on one logarithmic colour scale, row 0 at the top.
 
@@ -128,14 +111,13 @@ def small_heat_maps(
         title: one line.
         maps: positive values; NaN leaves a cell empty, zero has the first colour.
         unit: unit of the values.
-        columns: number of maps in a row.
         cell: side of a cell in the unit of the axes, pixels.
         caption: one sentence about the content.
     """
     every = np.concatenate([values[values > 0] for values in maps.values()])
     high = np.log10(every.max(initial=1e-6))
     low = max(np.log10(every.min(initial=10.0**high)), high - _DECADES)
-    rows = -(-len(maps) // columns)
+    rows = -(-len(maps) // _ACROSS)
     ticks = [n * 10.0**d for d in range(int(np.floor(low)), int(np.ceil(high)) + 1) for n in (1, 2, 5)]
     ticks = [tick for tick in ticks if low <= np.log10(tick) <= high]
     bar = {"title": {"text": unit}, "tickvals": np.log10(ticks), "ticktext": [f"{tick:g}" for tick in ticks]}
@@ -145,10 +127,10 @@ def small_heat_maps(
     }
     data = []
     for number, (name, values) in enumerate(maps.items()):
-        row, column = divmod(number, columns)
-        left, top = column / columns, 1.0 - row / rows
+        row, column = divmod(number, _ACROSS)
+        left, top = column / _ACROSS, 1.0 - row / rows
         suffix = str(number + 1) if number else ""
-        across, down = [left, left + 0.95 / columns], [top - 0.95 / rows, top - 0.12 / rows]
+        across, down = [left, left + 0.95 / _ACROSS], [top - 0.95 / rows, top - 0.12 / rows]
         plain = {"showgrid": False, "zeroline": False, "showticklabels": False, "ticks": "", "constrain": "domain"}
         layout[f"xaxis{suffix}"] = plain | {"domain": across, "anchor": f"y{suffix}"}
         layout[f"yaxis{suffix}"] = plain | {

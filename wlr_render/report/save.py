@@ -111,8 +111,7 @@ def _markdown_block(block: Block, folder: Path) -> str:
             return markdown_table(block)
         case Picture():
             target = urllib.parse.quote(os.path.relpath(block.path, folder), errors="replace")
-            picture = f"![{markdown_text(block.caption or block.title)}]({target})"
-            return f"[{picture}]({urllib.parse.quote(block.link)})\n" if block.link else f"{picture}\n"
+            return f"![{markdown_text(block.caption or block.title)}]({target})\n"
         case Plot():
             title, caption = markdown_text(block.title), markdown_text(block.caption)
             return f"*{title}*: an interactive plot in the HTML page. {caption}\n"
