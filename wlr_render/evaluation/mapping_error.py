@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry import directions, rays
-from wlr_render.mappings import DisplayMapping, SeeThroughMapping
+from wlr_render.mappings import DisplayMapping, Eye, FieldOfView, SeeThroughMapping
 from wlr_render.numerics.arrays import FloatArray
 
 
@@ -89,6 +89,18 @@ def observations_of_dirs(truth: DisplayMapping, viewpoint: FloatArray, view_dir:
     shown = truth.pixel_of_view_dir(view_dir, viewpoint)
     kept = shown.usable
     return DisplayObservations(_rows(viewpoint, kept, 3), shown.value[kept], _rows(view_dir, kept, 3))
+
+
+def observations_at_random(
+    truth: Eye, viewpoint: FloatArray, each: int, rng: np.random.Generator, field: FieldOfView | None
+) -> DisplayObservations:
+    """Observe `each` random pixels from every viewpoint (n, 1, 3): of the panel, or in a field if one is given."""
+    shape = (len(viewpoint), each, 2)
+    if field is None:
+        pixel = rng.uniform(0.0, 1.0, shape) * truth.display.panel.size_px
+        return observations_of_pixels(truth.display, viewpoint, pixel)
+    view_dir = directions.dir_of_tangents(rng.uniform(field.low, field.high, shape))
+    return observations_of_dirs(truth.display, viewpoint, view_dir)
 
 
 def display_error(candidate: DisplayMapping, observations: DisplayObservations) -> DisplayError:

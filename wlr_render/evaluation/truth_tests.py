@@ -7,7 +7,6 @@ import numpy as np
 
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import Eye, FieldOfView
 
 TESTS = (100, 60)  # random viewpoints, and random pixels per viewpoint
@@ -55,12 +54,7 @@ class TruthTests:
         rng = np.random.default_rng(seed)
         count, per_viewpoint = TESTS
         viewpoint = truth.eye_box.at(rng.uniform(-1.0, 1.0, (count, 1, 3)))
-        if field is None:
-            pixel = rng.uniform(0.0, 1.0, (count, per_viewpoint, 2)) * truth.display.panel.size_px
-            seen = mapping_error.observations_of_pixels(truth.display, viewpoint, pixel)
-        else:
-            view_dir = dir_of_tangents(rng.uniform(field.low, field.high, (count, per_viewpoint, 2)))
-            seen = mapping_error.observations_of_dirs(truth.display, viewpoint, view_dir)
+        seen = mapping_error.observations_at_random(truth, viewpoint, per_viewpoint, rng, field)
         near, far = TEST_DEPTHS_M
         depth = 1.0 / rng.uniform(1.0 / far, 1.0 / near, len(seen.pixel))
         points = mapping_error.see_through_observations(truth.see_through, seen.viewpoint, seen.view_dir, depth)

@@ -12,7 +12,7 @@ from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
+from wlr_render.geometry.directions import ARCMIN, arcmin_between
 from wlr_render.mappings import Eye
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.models.registration import model_registration_covariance
@@ -60,12 +60,7 @@ class EyeTests:
         """Random directions of the nominal field, or of the whole panel if the device names no field."""
         rng = np.random.default_rng([seed, _TESTS])
         viewpoint = viewpoints.random_in_eye_box(truth.eye_box, _VIEWPOINTS, rng)[:, None]
-        if truth.field is None:
-            pixel = rng.uniform(0.0, 1.0, (_VIEWPOINTS, _EACH, 2)) * truth.display.panel.size_px
-            shown = mapping_error.observations_of_pixels(truth.display, viewpoint, pixel)
-        else:
-            tangents = rng.uniform(truth.field.low, truth.field.high, (_VIEWPOINTS, _EACH, 2))
-            shown = mapping_error.observations_of_dirs(truth.display, viewpoint, dir_of_tangents(tangents))
+        shown = mapping_error.observations_at_random(truth, viewpoint, _EACH, rng, truth.field)
         seen = truth.see_through.real_ray_of_view_dir(shown.view_dir, shown.viewpoint).usable
         viewpoint, view_dir = shown.viewpoint[seen], shown.view_dir[seen]
         depth = 1.0 / rng.uniform(1.0 / FAR_M, 1.0 / NEAR_M, len(view_dir))

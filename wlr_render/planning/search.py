@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.planning.designs import CHOSEN, GRID, SPREAD, Design, grids, offered, spread
+from wlr_render.planning.designs import CHOSEN, SPREAD, Design, offered, spread
 from wlr_render.planning.place_choice import PlaceChoice, further_distance
 from wlr_render.planning.planned_bench import PlannedBench
 from wlr_render.planning.planned_errors import (
@@ -84,7 +84,6 @@ def find_design(bench: PlannedBench, accuracy_arcmin: float, most: int, say: Cal
     say("predicting designs")
     by_family = {
         SPREAD: _bisected(predictor, [spread_of(count) for count in range(LEAST_PLACES, most + 1)], accuracy_arcmin),
-        GRID: _bisected(predictor, grids(bench.reach_m, most), accuracy_arcmin),
     }
     by_family[CHOSEN] = _chosen(predictor, min(most, _smallest(by_family, accuracy_arcmin)), accuracy_arcmin)
     enough = [each for tried in by_family.values() for each in tried if each.p95 <= accuracy_arcmin]

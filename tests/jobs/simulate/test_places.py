@@ -17,7 +17,7 @@ from wlr_render.jobs.places_file import in_random_order, places_csv, read_places
 from wlr_render.jobs.simulate import SimulateOptions, simulate
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.planning.designs import grids, offered, places_of, spread
+from wlr_render.planning.designs import offered, places_of, spread
 from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.photographs.photo_bench import half_travel
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, planned_session, true_camera_poses
@@ -47,8 +47,7 @@ def options(tmp_path: Path) -> SimulateOptions:
 def test_places_of_every_design_are_read_as_they_were_written(tmp_path: Path) -> None:
     truth = traced_eye(load_device(DEVICE))
     reach, box = CaptureSetup(truth).field.reach, truth.eye_box
-    units = [each.unit for each in (spread(box, reach, 25), *grids(reach, 81))] + [offered(box, reach, True)]
-    for unit in units:
+    for unit in (spread(box, reach, 25).unit, spread(box, reach, 81).unit, offered(box, reach, True)):
         places = places_of(unit, box, reach) - box.centre
         path = tmp_path / "places.csv"
         path.write_text(places_csv(places), encoding="utf-8")

@@ -167,7 +167,7 @@ def _designs_table(search: DesignSearch) -> ReportTable:
         "All predicted from one simulated session, the pilot, so that designs can be compared. The session of the "
         f"recommended design itself then predicts {search.recommended.p95:.3g}' at 95 %, the figure stated above.",
         "Spread: no two places share a column or a row. Chosen: the places with the least predicted variance over the "
-        "eye box. A grid has few levels of x and y for its number of places.",
+        "eye box.",
     )
     return ReportTable("Predicted error by number of camera places", [*columns, ""], rows, notes)
 
