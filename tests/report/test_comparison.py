@@ -5,9 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from browser import needs_browser, open_page
 
 from wlr_render.errors import BadInputError
 from wlr_render.report.blocks import Block, Cell, Estimate, Report, ReportTable, Section
@@ -189,14 +187,3 @@ def test_a_folder_without_one_report_is_refused(tmp_path: Path) -> None:
         save_report(BEFORE, tmp_path, stem)
     with pytest.raises(BadInputError, match=r"holds several reports \(diagnosis.json, signature.json\); name a report"):
         read_report(tmp_path, "budget")
-
-
-@needs_browser
-def test_the_page_draws_the_ratios(tmp_path: Path) -> None:
-    now = report(["left", "noise", 0.1, Estimate(11.0, 0.4, "um"), "planar"], ["left", "bias", 0, np.nan, "planar"])
-    save_report(BEFORE, tmp_path)
-    saved = save_report(now, tmp_path, before=(tmp_path, read_report(tmp_path, "budget")))
-    page = open_page(saved.files[0], tmp_path)
-    assert page.console == []
-    assert page.plots == 1
-    assert "Errors at 1 m: left, noise, rms (arcmin)" in page.dom

@@ -13,8 +13,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import shown
 from wlr_render.io.kept import Recipe, differences, in_recipe, recipe_of
 from wlr_render.io.toml_files import Table, read_json
-from wlr_render.report.blocks import Block, Cell, Columns, Estimate, Plot, ReportTable, Section, Text, cell_text, table
-from wlr_render.report.plots import ratio_plot
+from wlr_render.report.blocks import Block, Cell, Columns, Estimate, ReportTable, Section, Text, cell_text, table
 
 FORMAT, VERSION = "wlr-report", 1
 """Format of a report's JSON file."""
@@ -22,7 +21,6 @@ _SAME = 1e-6  # relative tolerance: fits that are repeated differ in the last di
 _ROUNDING = 1e-12  # absolute tolerance over the largest figure of a column
 _REWRITE = "run the verb again to write the report"
 _MOST_NAMES = 10  # rows, columns or tables of one report that a sentence names
-_MOST_RATIOS = 30  # lines of the plot
 _PARTS = ("value", "error")
 
 Item = TypeVar("Item")
@@ -340,7 +338,6 @@ def comparison(before: RecordedReport, now: RecordedReport, path: Path) -> list[
         *([Text("", sentences)] if sentences else []),
         replace(_runs(before, now, path), notes=notes),
         *(pair.table() for pair in pairs if pair.changed),
-        *_ratios(pairs),
     ]
 
 
@@ -351,15 +348,3 @@ def _runs(before: RecordedReport, now: RecordedReport, path: Path) -> ReportTabl
     changed = differences(before.recipe, now.recipe).items()
     rows += [[name, in_recipe(old), in_recipe(new)] for name, (old, new) in changed]
     return ReportTable("Options and inputs that differ", ("option or input", "before", "now"), rows)
-
-
-def _ratios(pairs: Iterable[_Pair]) -> list[Plot]:
-    """Return a plot of the positive ratios that differ most from 1."""
-    ratio = {
-        f"{pair.prefix}{pair.now.title}: {_in_words(each.label)}, {each.column}": each.ratio
-        for pair in pairs
-        for each in pair.changed
-        if each.ratio is not None and each.ratio > 0
-    }
-    largest = sorted(ratio, key=lambda name: -abs(math.log(ratio[name])))[:_MOST_RATIOS]
-    return [ratio_plot({name: ratio[name] for name in largest})] if largest else []

@@ -180,24 +180,6 @@ def bars(title: str, names: Sequence[str], series: Mapping[str, ArrayLike], y_ti
     return Plot(title, data, layout, caption)
 
 
-def ratio_plot(ratios: Mapping[str, float]) -> Plot:
-    """Plot positive ratios of figures now to before on a logarithmic axis, one line each, the first at the top."""
-    ends = [edge for ratio in ratios.values() for edge in (1.0, ratio, None)]
-    names = [name for name in ratios for _ in range(3)]
-    colour = {"color": _COLOURS[0]}
-    shown = {"type": "scatter", "showlegend": False, "line": colour, "marker": colour | {"size": 9}}
-    data = [
-        shown | {"mode": "lines", "x": ends, "y": names, "hoverinfo": "skip"},
-        shown | {"mode": "markers", "x": _rounded([*ratios.values()]), "y": list(ratios)},
-    ]
-    layout = {
-        "xaxis": axis("now / before", log=True),
-        "yaxis": {"type": "category", "autorange": "reversed"},
-        "hovermode": "closest",
-    }
-    return Plot("Ratios of the figures that differ most", data, layout, height_px=110 + 24 * len(ratios))
-
-
 def arrow_map(
     title: str,
     groups: Mapping[str, tuple[FloatArray, ...]],

@@ -20,8 +20,7 @@ from wlr_render.jobs.calibrate.eye_tables import binocular_table, primaries_tabl
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
 from wlr_render.jobs.decode import rejection_colours
 from wlr_render.lenses.residual_lens import RESIDUAL, ResidualLens
-from wlr_render.report.blocks import Block, Cell, Columns, Estimate, Number, Picture, Plot, ReportTable, Section, table
-from wlr_render.report.plots import bars
+from wlr_render.report.blocks import Block, Cell, Columns, Estimate, Number, Picture, ReportTable, Section, table
 
 _ACROSS = 6  # small pictures side by side
 
@@ -63,7 +62,6 @@ def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
         _lens_table(found),
         *_kinds_tables(found),
         _poses_table(found),
-        *_pose_plots(found),
         _errors_table(found),
         _chi_squared_table(found),
         _checks_table(found),
@@ -185,18 +183,6 @@ def _poses(found: SessionCalibration) -> dict[str, Pose]:
         which = f", {eye} eye" if len(found.eyes) > 1 else ""
         poses[f"eyeball camera at the first panel photographs{which}"] = bench.camera_pose(first)
     return poses | {f"target pose {number}": pose for number, pose in bench.targets.items()}
-
-
-def _pose_plots(found: SessionCalibration) -> list[Plot]:
-    poses = _poses(found)
-    plots = []
-    for title, unit, sigmas in (
-        ("Uncertainty of positions", "mm", [pose.sigma_mm for pose in poses.values()]),
-        ("Uncertainty of rotations", "arcmin", [pose.sigma_arcmin for pose in poses.values()]),
-    ):
-        axes = dict(zip("xyz", np.transpose(sigmas), strict=True))
-        plots.append(bars(title, list(poses), axes, f"sigma ({unit})", caption="Poses in the device frame, per axis."))
-    return plots
 
 
 def _poses_table(found: SessionCalibration) -> ReportTable:
