@@ -1,7 +1,6 @@
 """AprilGrids, as Kalibr prints them: AprilTags with gaps between, and a small black square at each tag's corners."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated
 
 import cv2
@@ -19,7 +18,7 @@ from wlr_render.captures.boards.board import (
 )
 from wlr_render.captures.boards.board_homography import by_homography
 from wlr_render.captures.boards.board_keys import MARGIN, BoardLength
-from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
+from wlr_render.captures.boards.cell_pattern import CellBoard
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.boards.markers import detect_markers, dictionary_of, marker_areas, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
@@ -112,8 +111,7 @@ class AprilGrid(CellBoard):
         row, column = np.divmod(number - self.first_id, self.tag_columns)
         return np.stack([column, self.tag_rows - 1 - row if self.first_at_bottom else row], axis=-1)
 
-    @cached_property
-    def _pattern(self) -> CellPattern:
+    def _painted(self) -> tuple[FloatArray, BoolArray]:
         dictionary, count = dictionary_of(DICTIONARY), self.tag_columns * self.tag_rows
         corner = self.point_of(self.indices())[:, :2]
         # The small square at a corner lies diagonally opposite the tag.
@@ -126,7 +124,7 @@ class AprilGrid(CellBoard):
             )
             painted.append(cells)
             black.append(dark)
-        return CellPattern.of_black(self.size_m, np.concatenate(painted), np.concatenate(black))
+        return np.concatenate(painted), np.concatenate(black)
 
     def _find(self, image: Photograph) -> BoardObservation:
         """Find the board; any part of it with two tags or more is enough."""

@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,29 +11,28 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
-class CellPattern:
-    """Cells between lines across x and y.
-
-    Attributes:
-        x: (m + 1,) lines, metres, board frame, ascending; the first and last are the board's edges.
-        y: (n + 1,) lines across y, likewise.
-        white: (n, m) mask of white cells.
-    """
+class _Cells:
+    """Cells between ascending lines across x (m + 1,) and y (n + 1,), metres, board frame; `white` is a mask (n, m)."""
 
     x: FloatArray
     y: FloatArray
     white: BoolArray
 
-    @classmethod
-    def of_black(cls, size_m: FloatArray, corners: FloatArray, black: BoolArray) -> "CellPattern":
-        """Return the pattern of rectangles painted one after the other on a white board.
 
-        Args:
-            size_m: (2,) size of the board.
-            corners: (k, 4) left, top, right and bottom of each, metres, board frame.
-            black: (k,) black or white.
+class CellBoard(Board):
+    """Base of boards that consist of black and white rectangles between grid lines."""
+
+    @abstractmethod
+    def _painted(self) -> tuple[FloatArray, BoolArray]:
+        """Return rectangles painted one after the other on a white board.
+
+        Returns:
+            Left, top, right and bottom of each (k, 4), metres, board frame; and whether it is black (k,).
         """
-        half = 0.5 * size_m
+
+    @cached_property
+    def _cells(self) -> _Cells:
+        (corners, black), half = self._painted(), 0.5 * self.size_m
         x, y = (
             _lines(np.concatenate([corners[:, axis], corners[:, axis + 2], [-half[axis], half[axis]]]), half[axis])
             for axis in (0, 1)
@@ -41,63 +41,50 @@ class CellPattern:
         edges = np.stack([_nearest(line, corners[:, k]) for k, line in enumerate((x, y, x, y))], axis=-1)
         for (left, top, right, bottom), dark in zip(edges, black, strict=True):
             white[top:bottom, left:right] = not dark
-        return cls(x, y, white)
+        return _Cells(x, y, white)
 
-    def reflectance(self, in_board: RealArray, softness_m: RealArray | float) -> RealArray:
-        """Return the mean reflectance over a square of `softness_m` at positions (..., 2); NaN beyond the edge."""
+    def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
+        """Return the mean reflectance over a square of `softness_m`; see `Board.reflectance`."""
+        cells = self._cells
         x, y = in_board[..., 0].astype(np.float64), in_board[..., 1].astype(np.float64)
         softness = np.broadcast_to(np.asarray(softness_m, dtype=np.float64), x.shape)
         # The integral from the corner is bilinear between the lines, so that its differences are exact means; over a
         # millionth of the board's width they are still far above rounding.
-        side = np.maximum(softness, 1e-6 * (self.x[-1] - self.x[0]))
-        total = np.zeros((len(self.y), len(self.x)))
-        area = np.where(self.white, np.diff(self.y)[:, None] * np.diff(self.x), 0.0)
+        side = np.maximum(softness, 1e-6 * (cells.x[-1] - cells.x[0]))
+        total = np.zeros((len(cells.y), len(cells.x)))
+        area = np.where(cells.white, np.diff(cells.y)[:, None] * np.diff(cells.x), 0.0)
         total[1:, 1:] = area.cumsum(axis=0).cumsum(axis=1)
         low_x, high_x, low_y, high_y = x - 0.5 * side, x + 0.5 * side, y - 0.5 * side, y + 0.5 * side
-        sums = self._integral(total, high_x, high_y) - self._integral(total, low_x, high_y)
-        sums -= self._integral(total, high_x, low_y) - self._integral(total, low_x, low_y)
-        covered = (_clipped(high_x, self.x) - _clipped(low_x, self.x)) * (
-            _clipped(high_y, self.y) - _clipped(low_y, self.y)
+        sums = _integral(cells, total, high_x, high_y) - _integral(cells, total, low_x, high_y)
+        sums -= _integral(cells, total, high_x, low_y) - _integral(cells, total, low_x, low_y)
+        covered = (_clipped(high_x, cells.x) - _clipped(low_x, cells.x)) * (
+            _clipped(high_y, cells.y) - _clipped(low_y, cells.y)
         )
-        inside = (x >= self.x[0]) & (x <= self.x[-1]) & (y >= self.y[0]) & (y <= self.y[-1])
+        inside = (x >= cells.x[0]) & (x <= cells.x[-1]) & (y >= cells.y[0]) & (y <= cells.y[-1])
         with np.errstate(divide="ignore", invalid="ignore"):
             mean = np.clip(sums / covered, 0.0, 1.0)
-        sharp = self.white[_between(self.y, y)[0], _between(self.x, x)[0]]
+        sharp = cells.white[_between(cells.y, y)[0], _between(cells.x, x)[0]]
         return np.where(inside, np.where(softness > 0, mean, sharp), np.nan).astype(in_board.dtype)
 
     def svg_shapes(self) -> list[str]:
-        """Return one SVG path of all black cells, millimetres from the top left corner."""
-        x, y = 1e3 * (self.x - self.x[0]), 1e3 * (self.y - self.y[0])
+        """Return one SVG path of all black cells."""
+        cells = self._cells
+        x, y = 1e3 * (cells.x - cells.x[0]), 1e3 * (cells.y - cells.y[0])
         runs = []
-        for row, line in enumerate(~self.white):
+        for row, line in enumerate(~cells.white):
             change = np.diff(np.concatenate([[0], line.astype(np.int8), [0]]))
             for left, right in zip(np.nonzero(change == 1)[0], np.nonzero(change == -1)[0], strict=True):
                 runs.append(f"M {x[left]:.4f} {y[row]:.4f} H {x[right]:.4f} V {y[row + 1]:.4f} H {x[left]:.4f} Z")
         # Cells that touch must not show a seam where a viewer smooths their edges.
         return [f'<path shape-rendering="crispEdges" d="{" ".join(runs)}"/>']
 
-    def _integral(self, total: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        column, right = _between(self.x, x)
-        row, down = _between(self.y, y)
-        top = total[row, column] * (1 - right) + total[row, column + 1] * right
-        bottom = total[row + 1, column] * (1 - right) + total[row + 1, column + 1] * right
-        return np.asarray(top * (1 - down) + bottom * down)
 
-
-class CellBoard(Board):
-    """Base of boards that consist of cells."""
-
-    @property
-    @abstractmethod
-    def _pattern(self) -> CellPattern: ...
-
-    def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """Return the reflectance; see `Board.reflectance`."""
-        return self._pattern.reflectance(in_board, softness_m)
-
-    def svg_shapes(self) -> list[str]:
-        """Return one path of all black cells."""
-        return self._pattern.svg_shapes()
+def _integral(cells: _Cells, total: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    column, right = _between(cells.x, x)
+    row, down = _between(cells.y, y)
+    top = total[row, column] * (1 - right) + total[row, column + 1] * right
+    bottom = total[row + 1, column] * (1 - right) + total[row + 1, column + 1] * right
+    return np.asarray(top * (1 - down) + bottom * down)
 
 
 def _lines(places: FloatArray, half: float) -> FloatArray:

@@ -1,7 +1,6 @@
 """ChArUco boards: a chessboard with a marker in each white square, so that any part of it is identified."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated
 
 import cv2
@@ -19,7 +18,7 @@ from wlr_render.captures.boards.board import (
 )
 from wlr_render.captures.boards.board_homography import by_homography
 from wlr_render.captures.boards.board_keys import MARGIN, BoardLength
-from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
+from wlr_render.captures.boards.cell_pattern import CellBoard
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.boards.markers import (
     DICTIONARIES,
@@ -33,7 +32,7 @@ from wlr_render.captures.boards.markers import (
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.io.file_records import Key
 from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _LEAST_MARKERS = 4  # fewest markers; fewer may be chance, or fit any homography
 _OTHER_MARKER = 0.2  # difference from the stated side; small markers are detected a pixel larger or smaller
@@ -85,8 +84,7 @@ class CharucoBoard(CellBoard):
         made.setLegacyPattern(self.legacy)
         return made
 
-    @cached_property
-    def _pattern(self) -> CellPattern:
+    def _painted(self) -> tuple[FloatArray, BoolArray]:
         dictionary, half = dictionary_of(self.dictionary), 0.5 * (self.size_m - 2 * self.margin_m)
         square = grid_indices(self.square_columns, self.square_rows)
         low = square * self.square_m - half
@@ -98,7 +96,7 @@ class CharucoBoard(CellBoard):
             cells, dark = marker_cells(dictionary, int(number), corner, self.marker_m)
             painted.append(cells)
             black.append(dark)
-        return CellPattern.of_black(self.size_m, np.concatenate(painted), np.concatenate(black))
+        return np.concatenate(painted), np.concatenate(black)
 
     def _find(self, image: Photograph) -> BoardObservation:
         """Find the board; any part of it with two markers or more is enough."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated
 
 import cv2
@@ -19,12 +18,12 @@ from wlr_render.captures.boards.board import (
     grid_indices,
 )
 from wlr_render.captures.boards.board_keys import MARGIN, MOST_FEATURES, BoardLength
-from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
+from wlr_render.captures.boards.cell_pattern import CellBoard
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.io.file_records import Key
 from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 _SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _QUADS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
@@ -68,13 +67,10 @@ class Chessboard(CellBoard):
         """True if opposite squares have one colour: columns + rows is even."""
         return (self.columns + self.rows) % 2 == 0
 
-    @cached_property
-    def _pattern(self) -> CellPattern:
+    def _painted(self) -> tuple[FloatArray, BoolArray]:
         square = grid_indices(self.columns + 1, self.rows + 1)
         low = (square - 0.5 * (np.array([self.columns, self.rows]) + 1)) * self.square_m
-        return CellPattern.of_black(
-            self.size_m, np.concatenate([low, low + self.square_m], axis=1), square.sum(axis=1) % 2 == 0
-        )
+        return np.concatenate([low, low + self.square_m], axis=1), square.sum(axis=1) % 2 == 0
 
     def _find(self, image: Photograph) -> BoardObservation:
         """Find the board; all inner corners must be in the picture."""
