@@ -6,6 +6,7 @@ import inspect
 import json
 import math
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -217,19 +218,36 @@ def test_every_verb_refuses_values_that_are_no_choice_or_out_of_range(
             else:
                 good[field.name] = value
     for options, field, kind, notes in fields:
-        limits = next((note for note in notes if isinstance(note, Range)), Range())
-        if math.isfinite(max(limits.at_least, limits.above)) and "tuple" not in str(kind):
-            below = min(-1, math.floor(max(limits.at_least, limits.above)) - 1)
-            wrong, sentence = str(below), f"is {below}"
+        limits = next((note for note in notes if isinstance(note, Range)), None)
+        flag, others = (
+            flag_of(options, field.name),
+            [word for name in named if name != field.name for word in named[name]],
+        )
+        if limits is not None:
+            tried = [(words, (flag, "must be")) for words in beyond(flag, kind, limits)]
         elif typing.get_origin(kind) is typing.Literal and isinstance(typing.get_args(kind)[0], str):
-            wrong, sentence = "nonsense", 'Invalid value "nonsense"'
+            tried = [([flag, "nonsense"], ('Invalid value "nonsense"', flag))]
         else:
+            assert not re.search(r"\b(int|float)\b", str(kind)), f"{flag} has no limits"
             continue
-        flag = [] if field.name in good else [flag_of(options, field.name), wrong]
-        positional = (good | {field.name: wrong} if field.name in good else good).values()
-        others = [word for name, words in named.items() if name != field.name for word in words]
-        assert sentence in refused([*verb.words.split(), *positional, *others, *flag], capsys), field.name
+        for words, sentences in tried:
+            sentence = refused([*verb.words.split(), *good.values(), *others, *words], capsys)
+            assert all(each in sentence for each in sentences), f"{' '.join(words)}: {sentence}"
     assert not list(tmp_path.iterdir())
+
+
+def beyond(flag: str, kind: object, limits: Range) -> Iterator[list[str]]:
+    """Words of values beyond each limit of an option, and beyond the product of a size."""
+    assert math.isfinite(max(limits.at_least, limits.above))
+    assert math.isfinite(limits.at_most)
+    numbers = re.findall(r"\b(int|float)\b(?!, \.)", str(kind)) or ["float"]
+    below, above = math.floor(max(limits.at_least, limits.above)) - 1, 2 * math.ceil(limits.at_most) + 1
+    for wrong in (below, above, *([] if "int" in numbers else ["nan", "inf", "1e308"])):
+        yield [flag, *[str(wrong)] * 3] if len(numbers) == 3 else [f"{flag}={'x'.join([str(wrong)] * len(numbers))}"]
+    if math.isfinite(limits.product):
+        yield [f"{flag}={math.ceil(limits.at_most)}x{math.ceil(limits.at_most)}"]
+    if limits.least_size:
+        yield [flag, str(0.5 * limits.least_size)]
 
 
 @pytest.mark.parametrize("arguments", [["rendr"], ["--nonsense"]], ids=str)
