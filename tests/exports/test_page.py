@@ -149,6 +149,13 @@ def test_misalignment_is_that_of_python(opened: Opened, pupil: Any) -> None:
     assert np.sqrt(np.mean((got / error - 1) ** 2)) < 0.1
 
 
+def test_no_figure_is_smaller_than_the_models_are_true(opened: Opened) -> None:
+    opened.change("planar", (0.2, 0.1, 0))
+    rows = opened.browser.value("[...byId('figures').rows].map(row => [...row.cells].map(cell => cell.textContent))")
+    assert rows[2] == ["planar", "below 0.01'", "below 0.01'"]
+    assert all(re.fullmatch(r"\d+(\.\d+)?'", text) for row in rows[:2] for text in row[1:])
+
+
 def test_naive_is_that_of_the_demo(opened: Opened) -> None:
     """The demo's flat picture is fitted to the readings of captures: its weights of the panel's parts differ."""
     eye, centre = opened.eye, opened.eye.eye_box.centre

@@ -404,7 +404,7 @@ def test_pixels_that_one_colour_lacks_are_counted(
         ("stmap", [], ["no moving pupil", "one depth", "One map, made in light of 550 nm, serves all colours"]),
         ("rays", ["--per-colour"], ["no moving pupil"]),
         ("ffmpeg", [], ["up to half a pixel off"]),
-        ("monado", ["--eye", "both"], ["no asymmetric field of view", "between which its reader interpolates"]),
+        ("monado", ["--eye", "both"], ["no asymmetric field of view", "its reader interpolates, or evaluates"]),
     ],
 )
 def test_what_a_format_loses_is_in_the_file_on_the_page_and_on_the_terminal(

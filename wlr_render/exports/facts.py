@@ -77,7 +77,7 @@ def not_held(view: ExportedView, form: Format) -> list[str]:
     if not holds.between_pixels:
         lost.append(f"{name} holds whole pixels of the source picture: up to half a pixel off.")
     if not holds.every_pixel:
-        lost.append(f"{name} holds some points of the panel, between which its reader interpolates.")
+        lost.append(f"{name} does not hold every pixel of the panel: its reader interpolates, or evaluates a formula.")
     return lost
 
 
