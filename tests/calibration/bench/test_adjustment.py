@@ -21,7 +21,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
-SEEDS = range(5)
+SEEDS = range(3)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_errors_of_poses_are_as_large_as_their_sigmas(solved: Sequence[tuple[Tru
         for bench, found in solved
         for name in bench.lens
     ]
-    # Errors of one bench go together: five benches tell a standard deviation to about a quarter.
+    # Errors of one bench go together: three benches tell a standard deviation to about a third.
     assert 0.6 < rms(targets) < 1.6
     assert 0.6 < rms(places) < 1.6
     assert 0.6 < rms(lenses) < 1.6
@@ -123,7 +123,7 @@ def test_stated_extrinsics_that_are_wrong_are_in_the_sigma_of_every_pose() -> No
 def test_photographs_by_hand_tell_how_much_they_are_stretched() -> None:
     hand = replace(Imperfections(), focus_hunt=1e-3, hand_px=0.6)
     errors, sizes = [], []
-    for seed in range(8):
+    for seed in range(4):
         bench = TrueBench(seed, hand)
         views = [view.only((view.feature @ [1, 2]) % 6 == 0) for view in bench.lens_views(EYEBALL, 9)]
         known = bench.observations(lens_photographs=3)
@@ -134,7 +134,7 @@ def test_photographs_by_hand_tell_how_much_they_are_stretched() -> None:
         errors.append((found.state.lens[EYEBALL].values[:4] - bench.lens[EYEBALL].values[:4]) / sigma)
         sizes.append(found.sizes["stretch"])
     assert 3e-4 < np.exp(np.mean(np.log(sizes))) < 2e-3
-    # Eight cameras, of which fx and fy err together: a standard deviation to about a fifth.
+    # Four cameras, of which fx and fy err together: a standard deviation to about a quarter.
     assert 0.6 < rms(errors) < 1.5
 
 
