@@ -9,7 +9,7 @@ others', as that of a dot cut by an aperture's edge is.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -57,19 +57,6 @@ _AT_ONCE = 3.0  # factor below the worst at which a dot waits for the next round
 _MAD = 1.4826  # median absolute deviation to standard deviation
 
 
-@dataclass(frozen=True)
-class CaptureOutlier:
-    """A capture that contradicts the others.
-
-    Attributes:
-        group: the number by which it was grouped.
-        arcmin: mean error over all it saw.
-    """
-
-    group: int
-    arcmin: float
-
-
 def sound_captures(
     session: PhotoSession, reading: Reading, bench: CalibratedBench
 ) -> tuple[Captures, tuple[Excluded, ...]]:
@@ -96,9 +83,11 @@ def sound_captures(
     )
     if display is not None:
         colour = np.array([each.channel or "" for each, _ in sets])[display.capture]
-        moved = [each for name in np.unique(colour) for each in display_outliers(select(display, colour == name))]
-        excluded = [_exclusion(session.name_of(sets[each.group][0].folder), each) for each in moved]
-        display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
+        moved: dict[int, float] = {}
+        for name in np.unique(colour):
+            moved |= display_outliers(select(display, colour == name))
+        excluded = [_exclusion(session.name_of(sets[group][0].folder), off) for group, off in moved.items()]
+        display = select(display, ~np.isin(display.capture, [*moved]))
     if see_through is None:
         return Captures(display), tuple(excluded)
     if display is None:
@@ -107,8 +96,8 @@ def sound_captures(
         see_through = within_field(see_through, display)
     see_through = select(see_through, dot_inliers(see_through, see_through.visit))
     gone = see_through_outliers(see_through, see_through.visit)
-    excluded += [_exclusion(through[each.group][0].name, each) for each in gone]
-    see_through = select(see_through, ~np.isin(see_through.visit, [each.group for each in gone]))
+    excluded += [_exclusion(through[group][0].name, off) for group, off in gone.items()]
+    see_through = select(see_through, ~np.isin(see_through.visit, [*gone]))
     return Captures(display, see_through), tuple(excluded)
 
 
@@ -138,13 +127,13 @@ def _place_numbers(photographs: Sequence[BoardPhotograph]) -> list[int]:
     return [numbers.setdefault(each.place, len(numbers)) for each in photographs]
 
 
-def _exclusion(name: str, moved: CaptureOutlier) -> Excluded:
+def _exclusion(name: str, off_arcmin: float) -> Excluded:
     reason = (
-        f"its points lie {moved.arcmin:.0f}' from the positions predicted from the other photographs, as of another "
+        f"its points lie {off_arcmin:.0f}' from the positions predicted from the other photographs, as of another "
         "stage reading or target pose than session.toml says, of something that moved, or of optics that no smooth "
         "prediction follows there: compare its entry and its picture with those of its neighbours, or take it again."
     )
-    return Excluded(name, reason, fault=True, off_arcmin=moved.arcmin)
+    return Excluded(name, reason, fault=True, off_arcmin=off_arcmin)
 
 
 def _refuse_far_places(session: PhotoSession, viewpoint: FloatArray) -> None:
@@ -278,19 +267,22 @@ def _rows(
     return rows, sound
 
 
-def display_outliers(captures: DisplayCaptures) -> list[CaptureOutlier]:
-    """Return captures of the panel that contradict the others; none where there are too few to judge."""
+def display_outliers(captures: DisplayCaptures) -> dict[int, float]:
+    """Return captures of the panel that contradict the others, with their mean error in arcminutes, by number.
+
+    None where there are too few to judge.
+    """
     return _outliers(captures, captures.capture, fit_display)
 
 
-def see_through_outliers(captures: SeeThroughCaptures, photograph: IntArray) -> list[CaptureOutlier]:
-    """Return photographs of the target that contradict the others; (n,) `photograph` numbers each row's."""
+def see_through_outliers(captures: SeeThroughCaptures, photograph: IntArray) -> dict[int, float]:
+    """Return likewise photographs of the target; (n,) `photograph` numbers each row's."""
     return _outliers(captures, photograph, fit_see_through)
 
 
 def _outliers(
     captures: AnyCaptures, group: IntArray, fit: Callable[[AnyCaptures, str, int | None], ModelFit[AnyModel]]
-) -> list[CaptureOutlier]:
+) -> dict[int, float]:
     """Return the captures that a fit finds far from where they are said to be, if their error is one that matters."""
     names = np.unique(group)
     rows = np.concatenate(
@@ -299,9 +291,9 @@ def _outliers(
     try:
         smooth = fit(select(captures, rows), "planar", _DEGREE).smooth
     except BadInputError:
-        return []  # so says the fit of all of them
-    found = [(int(group[rows][smooth.readings.capture == each.capture][0]), each.arcmin) for each in smooth.moved]
-    return [CaptureOutlier(name, arcmin) for name, arcmin in sorted(found) if arcmin > _LEAST_ARCMIN]
+        return {}  # so says the fit of all of them
+    found = {int(group[rows][smooth.readings.capture == each.capture][0]): each.arcmin for each in smooth.moved}
+    return {name: off for name, off in sorted(found.items()) if off > _LEAST_ARCMIN}
 
 
 def dot_inliers(captures: SeeThroughCaptures, photograph: NDArray[np.int64]) -> BoolArray:
