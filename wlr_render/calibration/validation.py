@@ -16,7 +16,7 @@ mrcal tests its projection uncertainty by refits to sampled noise and by fits to
 (https://mrcal.secretsauce.net/tour-cross-validation.html).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -50,6 +50,8 @@ _TESTED = 500  # pairs of viewpoint and pixel or point
 _ROWS = 4_000  # readings whose changes are held at once
 
 _AnyFit = ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
+_Directions = Callable[[FloatArray, FloatArray], FloatArray]
+"""(pixels or points (n, k), viewpoints (n, 3)) -> unit directions (n, 3), NaN where there are none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +315,7 @@ def _noise_alone(number: int, fit: Calibration, tested: Mapping[str, _Tested], r
         # Errors by label that the fit found in its residuals are in its covariance, and in no reading drawn here.
         model = side.mapping.with_spread(replace(side.smooth, of_labels=None).spread)
         truth, subject, viewpoint = (
-            _Truth(model, int(rng.integers(2**63))),
+            _truth(model, int(rng.integers(2**63))),
             tested[name].subject,
             tested[name].viewpoint,
         )
@@ -326,26 +328,22 @@ def _noise_alone(number: int, fit: Calibration, tested: Mapping[str, _Tested], r
     return Refit(NOISE, number, _captures(fit, parts), expected)
 
 
-@dataclass(frozen=True)
-class _Truth:
-    """A model changed by a draw from its own covariance, without errors that it shares with the eye's other model."""
+def _truth(model: Any, seed: int) -> _Directions:
+    """Return a model changed by a draw from its own covariance, without errors that it shares with the other model."""
 
-    model: Any
-    seed: int
-
-    def __call__(self, subject: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """Return unit directions (n, 3); NaN where the model has none."""
-        found = np.array(self.model.view_dir(subject, viewpoint).value)
+    def directions(subject: FloatArray, viewpoint: FloatArray) -> FloatArray:
+        found = np.array(model.view_dir(subject, viewpoint).value)
         known = np.flatnonzero(np.isfinite(found).all(axis=1))
         for first in range(0, len(known), _ROWS):
             rows = known[first : first + _ROWS]
-            changes = self.model.direction_changes(subject[rows], viewpoint[rows], found[rows])
-            changes = changes[..., self.model.spread.shared :]
-            found[rows] += changes @ np.random.default_rng(self.seed).standard_normal(changes.shape[-1])
+            changes = model.direction_changes(subject[rows], viewpoint[rows], found[rows])[..., model.spread.shared :]
+            found[rows] += changes @ np.random.default_rng(seed).standard_normal(changes.shape[-1])
         return normalised(found)
 
+    return directions
 
-def _readings_of(truth: _Truth, side: Any, shared: FloatArray, rng: np.random.Generator) -> Any:
+
+def _readings_of(truth: _Directions, side: Any, shared: FloatArray, rng: np.random.Generator) -> Any:
     """Draw readings of a truth: with motions of the camera, errors of the bench and by label, and noise."""
     sound, smooth = _sound(side), side.smooth
     captures, readings = select(side.captures, sound), smooth.readings.select(sound)

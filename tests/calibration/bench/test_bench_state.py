@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration.bench.imperfect_bench import Imperfections, TrueBench, turned
+from calibration.bench.imperfect_bench import Imperfections, TrueBench
 
 from wlr_render.calibration.bench.bench_blocks import EXACT, FEATURES, SMOOTH_DEGREE, Block, Layout, lens_block
 from wlr_render.calibration.bench.board_views import EYEBALL, BoardView, CameraSetup
@@ -157,10 +157,6 @@ def test_a_bent_board_is_where_its_shape_says() -> None:
         bent.point_of(bench.feature[:1], corner), [[x * 1.001, y * 0.999, 3e-5 * np.sign(x * y)]], atol=2e-7
     )
     np.testing.assert_allclose(bent.point_of(np.array([[-5, -5]]), middle), [[0, 0, 3e-4]], atol=1e-12)
-
-
-def test_turned_is_a_rotation() -> None:
-    assert transforms.is_rotation(turned(3, 4, 5))
 
 
 def test_smooth_terms_have_unit_rms_over_the_range() -> None:
