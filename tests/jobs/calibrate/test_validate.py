@@ -94,6 +94,7 @@ def test_the_first_sentence_says_which_errors_to_believe(found: list[Ratio], say
 def test_the_ratio_that_no_refit_excludes_is_stated() -> None:
     sentence = Validation((AS_STATED, ratio(BANDS, 1.1, 0.8, 1.5)), 0).sentence
     assert "up to 1.5 times" in sentence
+    assert "a drift that runs along with the positions" in sentence
 
 
 def test_too_few_positions_are_refused_in_one_sentence(flat_image_headset: Eye, tmp_path: Path) -> None:

@@ -62,8 +62,9 @@ class Validation:
             most = max(each.high for each in self.ratios)
             return (
                 f"The refits do not contradict the stated errors: {_listed(self.ratios)}. They do not exclude "
-                f"errors of up to {most:.1f} times the stated ones, and errors that all camera positions share, as of "
-                "the lens, the board or the frame, show in no refit."
+                f"errors of up to {most:.1f} times the stated ones, and no refit shows errors that all camera "
+                "positions share, as of the lens, the board or the frame, or a drift that runs along with the "
+                "positions."
             )
         worst_of = {side: max((each for each in larger if each.side == side), key=_value) for side in _sides(larger)}
         parts = [
