@@ -19,7 +19,7 @@ from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid, rotation_o
 from wlr_render.io.input_files import LIMITS, read_bytes, require_pixels
 from wlr_render.io.toml_files import Table, read_json
 from wlr_render.mappings import Eye, EyeBox, Panel
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import EyeOptics, PlacedPanel
 from wlr_render.optics.device import Path as RayPath
 from wlr_render.optics.factory.factory_display import (
@@ -38,6 +38,7 @@ _EYE_BOX_M = np.array([8e-3, 6e-3, 4e-3])
 _SIDES = ("left", "right")
 _NORTH_STAR_PX = (1440, 1600)
 _MOST_APART_M = 0.1  # of an eye from the middle
+_TESTED = 25  # pixels across and down that are tested for folds
 _LEAST_AHEAD = 0.5  # cosine of the angle between the middle of a display and straight ahead
 _NO_DISTORTION = np.zeros(4)
 
@@ -82,8 +83,8 @@ def load_factory_eyes(path: str | Path, eye: str) -> tuple[Eye, ...]:
     place = found.place - middle
     if np.linalg.norm(place) > _MOST_APART_M:
         raise table.fail(f"places the eyes {2e3 * float(np.linalg.norm(place)):.0f} mm apart; correct their poses.")
-    if place[0] * (1.0 if eye == "right" else -1.0) < 0:
-        raise table.fail("places the right eye to the left of the left one; exchange or correct their poses.")
+    if len(eyes) > 1 and place[0] * (1.0 if eye == "right" else -1.0) <= 0:
+        raise table.fail("does not place the right eye to the right of the left one; correct their poses.")
     require_pixels(str(path), found.panel.size_px, "correct the size of the panel")
     pose = display_pose(found.rotation, place)
     for each in found.tangents:
@@ -93,6 +94,12 @@ def load_factory_eyes(path: str | Path, eye: str) -> tuple[Eye, ...]:
             raise table.fail(
                 f"shows the middle of the {eye} display {off_deg:.0f} degrees from straight ahead; correct its pose "
                 "and its centre."
+            )
+        pixel = found.panel.grid(_TESTED, _TESTED).reshape(_TESTED, _TESTED, 2)
+        inside = np.linalg.norm(2.0 * pixel / found.panel.size_px - 1.0, axis=-1) < 1.0
+        if _is_folded(each(pixel), inside):
+            raise table.fail(
+                f"has directions of the {eye} display that fold over or are mirrored; correct its distortion."
             )
     box = EyeBox(pose[:3, 3], _EYE_BOX_M)
     image = PlacedPanel(pose @ rigid(np.eye(3), np.array([0.0, 0.0, IMAGE_M])), np.full(2, IMAGE_M), found.panel)
@@ -104,7 +111,7 @@ def load_factory_eyes(path: str | Path, eye: str) -> tuple[Eye, ...]:
 def _steamvr(table: Table) -> dict[str, _Calibrated]:
     device = table.table("device")
     panel = Panel(*(device.whole(f"eye_target_{side}_in_pixels", least=1) for side in ("width", "height")))
-    aspect = device.number("physical_aspect_x_over_y", panel.width_px / panel.height_px, above=0)
+    aspect = device.number("physical_aspect_x_over_y", panel.width_px / panel.height_px, least=0.1, most=10)
     half_m = 0.5 * (
         table.number("lens_separation")
         if table.has("lens_separation")
@@ -142,10 +149,13 @@ def _steamvr_radial(table: Table, panel: Panel, aspect: float, plane: FloatArray
 
 
 def _wmr(table: Table) -> dict[str, _Calibrated]:
-    eyes = {}
-    for display in table.table("CalibrationInformation").tables("Displays", most=2):
+    eyes: dict[str, _Calibrated] = {}
+    information = table.table("CalibrationInformation")
+    for display in information.tables("Displays", most=2):
         names = {f"CALIBRATION_DisplayEye{side.capitalize()}": side for side in _SIDES}
         side = names[display.text("AssignedEye", choices=list(names))]
+        if side in eyes:
+            raise display.fail(f"is a second display of the {side} eye; correct 'AssignedEye'.")
         width, height = (display.number(f"Display{axis}", least=1, most=1e5) for axis in ("Width", "Height"))
         plane = _inverse(display, "Affine")
         origin = np.array([-0.5 * width * _SIDES.index(side), 0.0])  # both eyes are halves of one picture
@@ -163,6 +173,8 @@ def _wmr(table: Table) -> dict[str, _Calibrated]:
         place = -display_from_camera.T @ pose.vector("Translation", 3)
         panel = Panel(int(width) // 2, int(height))
         eyes[side] = _Calibrated(panel, display_from_camera.T, place, tuple(radial))
+    if not eyes:
+        raise information.fail("'Displays' is empty; name a file with the displays of a headset.")
     # The poses are those in a tracking camera, which looks down: the mean of the displays looks ahead.
     middle = Rotation.from_matrix([each.rotation for each in eyes.values()]).mean().as_matrix().T
     return {
@@ -199,7 +211,8 @@ def _xreal_grid(grid: Table, plane: FloatArray) -> GridTangents:
     regular = np.allclose(data[..., 0], u, atol=0.01) and np.allclose(data[..., 1], v[:, None], atol=0.01)
     if not regular or np.diff(u).min() <= 0 or np.diff(v).min() <= 0:
         raise grid.fail("the points of 'data' do not form a grid of ascending rows and columns; correct them.")
-    _require_unfolded(grid, "data", data[..., 2:])
+    if _is_folded(data[..., 2:]):
+        raise grid.fail("the points of 'data' fold over or are mirrored; correct them.")
     return GridTangents(u, v, data[..., 2:], plane)
 
 
@@ -215,18 +228,22 @@ def _north_star(table: Table) -> dict[str, _Calibrated]:
             grid = np.full((rows, columns, 2), np.nan)
         if not np.isfinite(grid).all():
             raise eye.fail(f"'grid' must be {rows} rows of {columns} pairs of numbers; write the file again.")
-        _require_unfolded(eye, "grid", grid)
+        if _is_folded(grid):
+            raise eye.fail("the points of 'grid' fold over or are mirrored; correct them.")
         u, v = (np.linspace(0.0, size, count) for size, count in zip(panel.size_px, (columns, rows), strict=True))
         tangents = GridTangents(u, v, grid, np.eye(3))
         eyes[side] = _Calibrated(panel, np.eye(3), np.array([sign * half_m, 0.0, 0.0]), (tangents,))
     return eyes
 
 
-def _require_unfolded(table: Table, key: str, point: FloatArray) -> None:
-    """Refuse points (rows, columns, 2) of which a cell is mirrored: it would show one direction twice."""
+def _is_folded(point: FloatArray, inside: BoolArray | bool = True) -> bool:
+    """Return whether a cell of points (rows, columns, 2) is mirrored: it would show one direction twice.
+
+    Only cells that begin `inside` count: formulas may fold in corners that no lens shows.
+    """
     along, down = np.diff(point, axis=1)[:-1], np.diff(point, axis=0)[:, :-1]
-    if np.min(along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]) <= 0:
-        raise table.fail(f"the points of '{key}' fold over or are mirrored; correct them.")
+    area = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]
+    return not np.all((area > 0) | ~np.broadcast_to(inside, point.shape[:2])[:-1, :-1])
 
 
 def _rotation(table: Table, key: str, matrix: FloatArray) -> FloatArray:
