@@ -55,6 +55,33 @@ def test_each_draw_gets_its_texture_and_its_target(
 
 
 @pytest.mark.gl
+@pytest.mark.parametrize("at_once", [True, False], ids=["in one call", "one by one"])
+def test_several_textures_reach_their_samplers_whichever_of_them_change(
+    gl_context: GlContext, monkeypatch: pytest.MonkeyPatch, at_once: bool
+) -> None:
+    with gl_context.drawing() as ctx:
+        if not at_once:  # as before OpenGL 4.4
+            monkeypatch.setattr(ctx.extra, "_bind", None)
+        program = ctx.program(
+            vertex_shader="#version 410\nvoid main() "
+            "{ gl_Position = vec4(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1, 0, 1); }",
+            fragment_shader="#version 410\nuniform sampler2D a, b, c; out vec4 seen; void main() "
+            "{ vec2 at = vec2(0.5); seen = vec4(texture(a, at).r, texture(b, at).r, texture(c, at).r, 1.0); }",
+        )
+        triangle = ctx.vertex_array(program, [])
+        textures = [ctx.texture((1, 1), 1, bytes([code])) for code in (10, 20, 30, 40)]
+        target = gl_context.target((1, 1), 4, "f1")
+        framebuffer = gl_context.framebuffer([target])
+        # All change, none, the ends, the last, all but the first, and two samplers share one that was elsewhere.
+        for given in ([0, 1, 2], [0, 1, 2], [3, 1, 0], [3, 1, 2], [3, 0, 1], [2, 2, 0]):
+            gl_context.draw_to(framebuffer)
+            gl.bind_textures(program, **dict(zip("abc", (textures[k] for k in given), strict=True)))
+            triangle.render(vertices=3)
+            seen = gl.read(target, np.uint8)[0, 0, :3]
+            assert seen.tolist() == [10 * (k + 1) for k in given], given
+
+
+@pytest.mark.gl
 def test_textures_are_bound_anew_in_each_block(
     gl_context: GlContext, copying: Callable[[moderngl.Texture, moderngl.Framebuffer], None]
 ) -> None:

@@ -6,7 +6,6 @@ import threading
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from types import TracebackType
 from typing import Any, TypeVar
 
 import moderngl
@@ -17,7 +16,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.gl.gl_errors import ErrorReader, GlError, error_name
 from wlr_render.gl.native_contexts import CurrentContext
 from wlr_render.gl.ownership import ContextOwner, free_dropped
-from wlr_render.gl.programs import COMPUTE_VERSION, forget_textures, pass_source, shader_source
+from wlr_render.gl.programs import COMPUTE_VERSION, TextureUnits, forget_textures, pass_source, shader_source
 
 Texture = moderngl.Texture
 TextureArray = moderngl.TextureArray
@@ -96,14 +95,13 @@ class GlContext:
         with owner.entered():
             self.renderer = str(ctx.info["GL_RENDERER"])
             self.largest_side_px = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
+            ctx.extra = TextureUnits(ctx, current)
         self.computes = ctx.version_code >= COMPUTE_VERSION and not self.is_software
 
     def __enter__(self) -> "GlContext":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.release()
 
     @property

@@ -1,5 +1,6 @@
 """Sources, uniforms and textures of shader programs; an unchanged uniform costs no OpenGL call."""
 
+import ctypes
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.gl.native_contexts import CurrentContext
 from wlr_render.io import atomic_files
 
 GLSL_VERSION = 410
@@ -15,6 +17,9 @@ GLSL_VERSION = 410
 
 COMPUTE_VERSION = 430
 """GLSL version of compute shaders: OpenGL 4.3."""
+
+MULTI_BIND_VERSION = 440
+"""OpenGL 4.4 binds several textures in one call."""
 
 _INCLUDE = re.compile(r'^#include "(\w+\.glsl)"$', re.MULTILINE)
 
@@ -109,28 +114,55 @@ def bind_textures(program: Any, **textures: Any) -> None:
     Call it in a drawing block and bind textures of these units in no other way: a texture that was bound to a unit
     before is not bound again. Samplers of one texture share a unit.
     """
-    uniforms, on_units = _Uniforms.of(program), _textures_on_units(program.ctx)
+    uniforms = _Uniforms.of(program)
     units: dict[int, int] = {}  # by the identity of a texture
+    of_units: list[Any] = []
     for name, given in textures.items():
         of_name = []
         for texture in given if isinstance(given, list | tuple) else (given,):
             unit = units.setdefault(id(texture), len(units))
-            if on_units.get(unit) is not texture:
-                texture.use(unit)
-                on_units[unit] = texture
+            if unit == len(of_units):
+                of_units.append(texture)
             of_name.append(unit)
         if uniforms.units.get(name) != (now := tuple(of_name)):
             uniforms.set(program, name, None, np.array(now, dtype=np.int32).tobytes())
             uniforms.units[name] = now
+    _units_of(program.ctx).bind(of_units)
 
 
 def forget_textures(ctx: Any) -> None:
     """Bind all textures again; call it when other software may have bound some."""
-    _textures_on_units(ctx).clear()
+    _units_of(ctx).textures.clear()
 
 
-def _textures_on_units(ctx: Any) -> dict[int, Any]:
-    if ctx.extra is None:
-        ctx.extra = {}
-    found: dict[int, Any] = ctx.extra
-    return found
+class TextureUnits:
+    """Textures on the units of a ModernGL context, from unit 0: one OpenGL call binds all that change.
+
+    OpenGL before 4.4 binds them one by one.
+    """
+
+    def __init__(self, ctx: Any, current: CurrentContext) -> None:
+        """Take a context that is current."""
+        self.textures: list[Any] = []
+        types = ctypes.c_uint, ctypes.c_int, ctypes.c_void_p
+        self._bind = current.function("glBindTextures", *types) if ctx.version_code >= MULTI_BIND_VERSION else None
+
+    def bind(self, textures: list[Any]) -> None:
+        """Put textures on the first units, and leave the others as they are."""
+        bound = self.textures
+        changed = [k for k, each in enumerate(textures) if k >= len(bound) or bound[k] is not each]
+        if not changed:
+            return
+        if self._bind is not None and len(changed) > 1:
+            first, end = changed[0], changed[-1] + 1
+            names = (ctypes.c_uint * (end - first))(*[each.glo for each in textures[first:end]])
+            self._bind(first, end - first, ctypes.addressof(names))
+        else:
+            for k in changed:
+                textures[k].use(k)
+        bound[: len(textures)] = textures
+
+
+def _units_of(ctx: Any) -> TextureUnits:
+    units: TextureUnits = ctx.extra
+    return units

@@ -50,12 +50,12 @@ class TheirTexture:
     """A texture of other software.
 
     Attributes:
-        name: OpenGL's.
+        glo: OpenGL's name, as ModernGL calls it.
         target: 2D or 2D array.
         functions: glActiveTexture and glBindTexture.
     """
 
-    name: int
+    glo: int
     target: int
     functions: tuple[Callable[..., Any], Callable[..., Any]]
 
@@ -63,7 +63,7 @@ class TheirTexture:
         """Bind it to a texture unit."""
         activate, bind = self.functions
         activate(_TEXTURE0 + unit)
-        bind(self.target, self.name)
+        bind(self.target, self.glo)
 
 
 @dataclass(frozen=True, eq=False)
