@@ -104,6 +104,29 @@ def test_the_import_loads_no_large_library() -> None:
     assert not {"numpy", "scipy", "cv2", "moderngl", "trimesh", "matplotlib", "cyclopts", "rich"} & set(loaded)
 
 
+START = """
+import sys, importlib
+from flat_image import flat_image_eye
+from wlr_render import WarpMesh, cli
+
+def rooms():
+    return {".".join(name.split(".")[:2]) for name in sys.modules if name.startswith("scipy.")}
+
+for verb in cli.VERBS:
+    importlib.import_module("wlr_render.jobs." + verb.function.partition(":")[0])
+print(*rooms() & {"scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.sparse", "scipy.spatial", "scipy.stats"})
+WarpMesh(flat_image_eye(), (64, 48))
+print("scipy.spatial" in rooms())
+"""
+
+
+@pytest.mark.slow
+def test_verbs_start_without_scipy_and_no_frame_waits_for_it() -> None:
+    """Of a fresh process: its rooms take up to 4 s, which is more than most refusals and small jobs."""
+    printed = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, cwd=ROOT / "tests")
+    assert printed.stdout.splitlines() == ["", "True"], printed.stderr
+
+
 @pytest.mark.parametrize("where", CODE)
 def test_code_for_users_imports_public_names_only(where: str) -> None:
     source = CODE[where]

@@ -57,7 +57,7 @@ def test_the_prior_of_the_assembly_errors_is_gaussian_however_large_they_are(mon
         assert np.all(cost[: -len(ASSEMBLY_SIZES)] < 9.0)
         raise SolverReachedError
 
-    monkeypatch.setattr("wlr_render.calibration.fit_prescription.least_squares", solver)
+    monkeypatch.setattr("scipy.optimize.least_squares", solver)
     with pytest.raises(SolverReachedError):
         fit_assembly(captured(prescription("birdbath28"), count=1), prescription("birdbath28"))
 

@@ -8,8 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
+import scipy
 
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.bench.bench_file import load_bench
@@ -162,7 +161,8 @@ def _pose(point: FloatArray, on_target: FloatArray) -> FloatArray | None:
     defined = np.isfinite(on_target).all(axis=1)
     if defined.sum() >= 3:
         own_centre, at = on_target[defined].mean(axis=0), point[defined].mean(axis=0)
-        rotation = Rotation.align_vectors(point[defined] - at, on_target[defined] - own_centre)[0].as_matrix()
+        there, here = on_target[defined] - own_centre, point[defined] - at
+        rotation = scipy.spatial.transform.Rotation.align_vectors(here, there)[0].as_matrix()
         return rigid(rotation, at - rotation @ own_centre)
     normal = axes[2] * np.sign(axes[2, 2])
     right = normalised(np.array([1.0, 0.0, 0.0]) - normal[0] * normal)
@@ -172,4 +172,4 @@ def _pose(point: FloatArray, on_target: FloatArray) -> FloatArray | None:
 def _pitch(point: FloatArray) -> float:
     """Return the distance of neighbouring points."""
     places = np.unique(np.round(point, 6), axis=0)
-    return float(np.median(KDTree(places).query(places, k=2)[0][:, 1]))
+    return float(np.median(scipy.spatial.KDTree(places).query(places, k=2)[0][:, 1]))

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from wlr_render.calibration.readings import Trend
 from wlr_render.captures.correspondences import AnyCaptures, Captures, DisplayCaptures, SeeThroughCaptures, select
@@ -97,7 +97,7 @@ def fit_assembly(captures: Captures, optics: EyeOptics) -> FittedAssembly:
             found = [part(changed) / size for part, size in zip(parts, sizes, strict=True)]
             return np.concatenate([*(np.nan_to_num(each, nan=_LOST) for each in found), scaled])
 
-        solution = least_squares(
+        solution = scipy.optimize.least_squares(
             residual, scaled, loss=_loss, f_scale=2.0, diff_step=1e-5, xtol=1e-6, ftol=1e-8, max_nfev=_EVALUATIONS
         )
         scaled, fitted = solution.x, assembled(optics, ASSEMBLY_SIZES * solution.x)

@@ -17,8 +17,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy import sparse
-from scipy.linalg import solve_triangular
+import scipy
 
 from wlr_render.calibration.label_terms import means_by, reading_groups
 from wlr_render.calibration.posterior_spread import lower_root, principal
@@ -131,12 +130,12 @@ class _Label:
     def width(self) -> int:
         return self.groups * int(self.columns.shape[2])
 
-    def design(self, axis: int) -> sparse.csr_array:
+    def design(self, axis: int) -> "scipy.sparse.csr_array":
         """Columns (n, groups * k) of one axis of the readings."""
         labelled, k = np.flatnonzero(self.group >= 0), self.columns.shape[2]
         column = (self.group[labelled, None] * k + np.arange(k)).ravel()
         values = self.columns[labelled, axis].ravel(), (np.repeat(labelled, k), column)
-        design = sparse.csr_array(values, shape=(len(self.group), self.width))
+        design = scipy.sparse.csr_array(values, shape=(len(self.group), self.width))
         design.eliminate_zeros()
         return design
 
@@ -290,7 +289,7 @@ def _cells(place: FloatArray, count: int) -> IntArray:
 def _statistics(smooth: SmoothFit, labels: list[_Label]) -> _Statistics:
     """Return u, A and how the fit follows the errors of all labels."""
     readings, posterior, residual = smooth.readings, smooth.posterior, smooth.residual
-    designs = [sparse.hstack([each.design(axis) for each in labels], format="csr") for axis in (0, 1)]
+    designs = [scipy.sparse.hstack([each.design(axis) for each in labels], format="csr") for axis in (0, 1)]
     width = designs[0].shape[1]
     score, plain = np.zeros(width), np.zeros((width, width))
     by_axis, by_side = np.zeros((2, len(posterior.alone), width)), np.zeros((len(posterior.side_covariance), width))
@@ -303,7 +302,7 @@ def _statistics(smooth: SmoothFit, labels: list[_Label]) -> _Statistics:
             columns = design[rows][:, used]
             score[used] += columns.T @ known[:, axis]
             product = columns.T @ _times(inverse, columns)
-            plain[np.ix_(used, used)] += product.toarray() if sparse.issparse(product) else product
+            plain[np.ix_(used, used)] += product.toarray() if scipy.sparse.issparse(product) else product
             by_side[np.ix_(touched, used)] += (columns.T @ _times(inverse, side[:, axis, touched])).T
             if own is not None:
                 by_axis[axis][:, used] += (columns.T @ own).T
@@ -323,7 +322,7 @@ def _statistics(smooth: SmoothFit, labels: list[_Label]) -> _Statistics:
 def _times(inverse: FloatArray | list[FloatArray], values: Any) -> Any:
     """Return the inverse covariance of the readings' noise, its diagonal or its blocks, times values (r, k)."""
     if isinstance(inverse, np.ndarray):
-        return sparse.diags_array(inverse) @ values
+        return scipy.sparse.diags_array(inverse) @ values
     product, last = np.empty(values.shape), 0
     for each in inverse:
         first, last = last, last + len(each)
@@ -353,11 +352,11 @@ def _judged(label: _Label, part: slice, found: _Statistics, noise: float) -> tup
         axis in arcminutes, 0 where they are not more probable than none, and their most probable correlation.
     """
     lower = lower_root(found.plain[part, part], 1e-9)
-    left = solve_triangular(lower, found.information[part, part], lower=True)
-    values, vectors = np.linalg.eigh(solve_triangular(lower, left.T, lower=True))
+    left = scipy.linalg.solve_triangular(lower, found.information[part, part], lower=True)
+    values, vectors = np.linalg.eigh(scipy.linalg.solve_triangular(lower, left.T, lower=True))
     determined = values >= max(_DETERMINED * float(values[-1]), 1e-9)
     vectors, values = vectors[:, determined], values[determined]
-    score = vectors.T @ solve_triangular(lower, found.score[part], lower=True)
+    score = vectors.T @ scipy.linalg.solve_triangular(lower, found.score[part], lower=True)
     scaled = np.sqrt(values)[:, None] * (vectors.T @ lower.T)  # of the errors, to contrasts with a variance of 1
     square, likely = (noise * _SIZES) ** 2, -0.5 * (np.log10(_SIZES / _USUAL) / _DECADES) ** 2
     odds, correlations = [], list(label.correlations())

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
@@ -116,7 +116,7 @@ class StageLabels:
             reading = self.reading[axis][:, None]
             smooth = smooth_basis(reading, 1.0 - _ROUGH_SHARE)
             blocks.append(np.linalg.qr(smooth, mode="complete")[0][:, smooth.shape[1] :])
-        return np.asarray(block_diag(*blocks)) if blocks else np.zeros((0, 0))
+        return np.asarray(scipy.linalg.block_diag(*blocks)) if blocks else np.zeros((0, 0))
 
 
 def stage_labels(captures: DisplayCaptures | SeeThroughCaptures) -> StageLabels:

@@ -8,6 +8,7 @@ T. D. Barfoot, *State Estimation for Robotics* (2017), section 7.3; he puts the 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
@@ -21,11 +22,9 @@ def small_motion(delta: FloatArray) -> FloatArray:
 
 def motion_between(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the motion (..., 6) in frame b that carries the poses `before` into `after`, both b_from_a (..., 4, 4)."""
-    from scipy.spatial.transform import Rotation
-
     motion = after @ transforms.inverse(before)
-    vector = Rotation.from_matrix(motion[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(*motion.shape[:-2], 3)
-    return np.concatenate([vector, motion[..., :3, 3]], axis=-1)
+    turn = scipy.spatial.transform.Rotation.from_matrix(motion[..., :3, :3].reshape(-1, 3, 3))
+    return np.concatenate([turn.as_rotvec().reshape(*motion.shape[:-2], 3), motion[..., :3, 3]], axis=-1)
 
 
 def adjoint(b_from_a: FloatArray) -> FloatArray:

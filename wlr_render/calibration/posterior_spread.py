@@ -1,7 +1,7 @@
 """Low-rank factors of a fit's posterior covariance, as models keep it."""
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy
 
 from wlr_render.calibration.reading_sums import Response
 from wlr_render.calibration.readings import FitReadings, design_of
@@ -114,7 +114,7 @@ def _by_own_labels(readings: FitReadings, found: Posterior) -> FloatArray:
     if not readings.axis_terms:
         return np.zeros((own, 0))
     root = lower_root(found.alone[own:, own:])
-    return np.asarray(solve_triangular(root, found.alone[own:, :own], lower=True).T)
+    return np.asarray(scipy.linalg.solve_triangular(root, found.alone[own:, :own], lower=True).T)
 
 
 def _sample(readings: FitReadings) -> tuple[IntArray, FloatArray]:

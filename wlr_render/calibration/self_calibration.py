@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -304,7 +304,7 @@ class WearState:
     def _tracking_noise(self, slope: FloatArray) -> FloatArray:
         """Covariance (2 n, 2 n) of clicks by the eye tracker's noise, independent between clicks."""
         by_offset = slope.reshape(-1, 2, PARAMETERS)[..., OFFSET] * self.settings.tracking_m
-        return np.asarray(block_diag(*(by_offset @ by_offset.transpose(0, 2, 1))))
+        return np.asarray(scipy.linalg.block_diag(*(by_offset @ by_offset.transpose(0, 2, 1))))
 
     def _fitted(self, clicks: Clicks, sigma_arcmin: float, prior: FloatArray, log_prior: float) -> "_Fitted":
         """Find the posterior by Gauss-Newton steps; which clicks are wrong is chosen again after each step."""

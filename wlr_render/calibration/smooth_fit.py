@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy
 
 from wlr_render.calibration.moved_captures import CaptureMotion, MotionAgreement
 from wlr_render.calibration.posterior_spread import label_response, spread_of
@@ -373,7 +373,9 @@ class SmoothFit:
             if shared is not None:
                 own_field = (visit[:, None] == visit) * shared.correlation(readings.image[rows])
                 noise += shared.share * (own_field - np.eye(len(rows)))
-            found.append(solve_triangular(np.linalg.cholesky(noise), design[rows] * weight[rows], lower=True))
+            found.append(
+                scipy.linalg.solve_triangular(np.linalg.cholesky(noise), design[rows] * weight[rows], lower=True)
+            )
         return found
 
 

@@ -10,7 +10,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import binom
+import scipy
 
 from wlr_render.calibration.label_terms import FALLS_DIFFER, USUAL_FALL, LabelTerm
 from wlr_render.calibration.reading_sums import sums_of
@@ -158,7 +158,7 @@ def _log_ways(readings: FitReadings) -> FloatArray:
     pairs = zip(readings.orders[:, subject].T, readings.orders[:, place].T, strict=False)
     ways = np.ones(len(readings.orders))
     for of_subject, of_place in pairs:
-        ways = ways * binom(of_subject + of_place, of_place)
+        ways = ways * scipy.special.binom(of_subject + of_place, of_place)
     return np.asarray(np.log(ways))
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from wlr_render.calibration.label_terms import means_by, smooth_basis
 from wlr_render.calibration.moved_captures import CaptureMotion, moved_odds, usual_motion
@@ -289,7 +289,7 @@ def _rough_axes(readings: FitReadings) -> tuple[FloatArray, IntArray]:
     first = readings.parameters + sum(len(each.offset) for each in readings.joint_terms)
     last = first + sum(len(each.offset) for each in readings.stage_terms)
     rough = np.zeros((0, 0)) if readings.stage is None else readings.stage.rough()
-    mixed = block_diag(np.eye(first), rough, np.eye(last - first - len(rough)))
+    mixed = scipy.linalg.block_diag(np.eye(first), rough, np.eye(last - first - len(rough)))
     return mixed, np.delete(np.arange(last), first + np.arange(rough.shape[1], len(rough)))
 
 

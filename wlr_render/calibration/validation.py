@@ -21,8 +21,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.stats import t
+import scipy
 
 from wlr_render.calibration.fit_eye import Calibration
 from wlr_render.calibration.fit_report import ModelFit, bands
@@ -223,7 +222,7 @@ def _interval(squares: FloatArray, positions: float) -> tuple[float, float, floa
     """
     value = np.sqrt(squares[:, 0].sum() / squares[:, 1].sum())
     of_refits = np.var(0.5 * np.log(np.maximum(squares[:, 0], 1e-12) / squares[:, 1]), ddof=1) / len(squares)
-    size = np.sqrt(of_refits + 0.25 / positions) * t.ppf(0.5 + 0.5 * LEVEL, len(squares) - 1)
+    size = np.sqrt(of_refits + 0.25 / positions) * scipy.special.stdtrit(len(squares) - 1, 0.5 + 0.5 * LEVEL)
     return float(value * np.exp(-size)), float(value), float(value * np.exp(size))
 
 
@@ -382,5 +381,5 @@ def _noise(readings: FitReadings, rng: np.random.Generator) -> FloatArray:
         return noise
     for rows in rows_by_capture(readings.capture):
         whitening = readings.shared.root(readings.image[rows], np.ones(len(rows)))
-        noise[rows] = solve_triangular(whitening, noise[rows], lower=True)
+        noise[rows] = scipy.linalg.solve_triangular(whitening, noise[rows], lower=True)
     return noise

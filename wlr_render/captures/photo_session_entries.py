@@ -8,9 +8,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+import scipy
 
 from wlr_render.captures.photo_session import (
     BoardPhotograph,
@@ -191,10 +189,12 @@ def place_groups(entries: Sequence[SessionEntry], stage: StageDescription, toler
     orientation = np.array([each.orientation for each in entries])
     lever = [1.0 if axis.kind == "linear" else _LEVER_M for axis in stage.axes]
     reading = np.array([each.stage for each in entries], dtype=np.float64).reshape(len(entries), -1) * lever
-    pairs = cKDTree(reading).query_pairs(tolerance_m * (1 + 1e-9) + 1e-12, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(reading).query_pairs(tolerance_m * (1 + 1e-9) + 1e-12, output_type="ndarray")
     pairs = pairs[orientation[pairs[:, 0]] == orientation[pairs[:, 1]]]
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(entries), len(entries)))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+    graph = scipy.sparse.coo_array(
+        (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(entries), len(entries))
+    )
+    return np.asarray(scipy.sparse.csgraph.connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def place_names(entries: Sequence[SessionEntry], form: EntryFormat, tolerance_m: float) -> list[str]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 
 from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
 from wlr_render.geometry.directions import normalised
@@ -30,9 +31,9 @@ def _rotation_of_file(xyzw: FloatArray, device_from_file: FloatArray) -> FloatAr
 
 
 def _rotation_to_file(rotation: FloatArray, device_from_file: FloatArray) -> FloatArray:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(device_from_file.T @ rotation @ device_from_file).as_quat())
+    return np.asarray(
+        scipy.spatial.transform.Rotation.from_matrix(device_from_file.T @ rotation @ device_from_file).as_quat()
+    )
 
 
 def _pose_of_file(pose: FloatArray, device_from_file: FloatArray) -> FloatArray:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.special import ndtr, ndtri
 
 from wlr_render.diagnosis.diagnosis import DiagnosisRecord, StationEffect
 from wlr_render.diagnosis.effect_findings import STATIONS
@@ -200,14 +200,16 @@ def normality_plot(diagnosis: DiagnosisRecord) -> Plot:
     middle = 0.5 * (_HISTOGRAM[1:] + _HISTOGRAM[:-1])
     normal = np.exp(-0.5 * middle**2) / np.sqrt(2 * np.pi)
     # Evenly spaced quantiles show the tails; beyond the farthest there are fewer than five values.
-    farthest = min(_FARTHEST, -float(ndtri(min(0.4, 5.0 / len(values)))))
+    farthest = min(_FARTHEST, -float(scipy.special.ndtri(min(0.4, 5.0 / len(values)))))
     expected = np.linspace(-farthest, farthest, _QUANTILES)
     right, ends = {"xaxis": "x2", "yaxis": "y2"}, [-farthest, farthest]
     grey, points = {"line": {"color": _GREY}}, {"marker": {"color": _BEFORE, "size": 5}}
     data = [
         {"type": "bar", "name": "residual", "marker": {"color": _AFTER}, "x": middle, "y": density},
         {"type": "scatter", "name": "normal distribution", "x": middle, "y": normal, **grey},
-        _scatter(expected, np.quantile(values, ndtr(expected)), "markers", name="quantiles", **points, **right),
+        _scatter(
+            expected, np.quantile(values, scipy.special.ndtr(expected)), "markers", name="quantiles", **points, **right
+        ),
         _scatter(ends, ends, "lines", showlegend=False, **grey, **right),
     ]
     layout = {

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
+import scipy
 
 from wlr_render.bench.bench_effects import AnyFunction, BenchEffect
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
@@ -285,7 +285,7 @@ def neighbours_agree(field: StationField, left: FloatArray, standard_errors: flo
     """
     rows = np.flatnonzero(field.acts)
     place = field.place[rows] / np.maximum(field.place[rows].std(axis=0), np.finfo(float).tiny)
-    near = KDTree(place).query(place, min(_NEIGHBOURS + 1, len(rows)))[1][:, 1:]
+    near = scipy.spatial.KDTree(place).query(place, min(_NEIGHBOURS + 1, len(rows)))[1][:, 1:]
     for column in np.moveaxis(field.columns[rows][:, :, field.order == 0], 2, 0):
         along = np.sum(left[rows] * column, axis=1) / np.maximum(np.linalg.norm(column, axis=1), _IDLE)
         along = np.clip(along / np.sqrt(np.mean(along**2)), -_WILD, _WILD)

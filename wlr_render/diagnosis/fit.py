@@ -10,7 +10,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from scipy.stats import t as student
+import scipy
 
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Role
@@ -270,4 +270,4 @@ def few_captures_factor(found: Fit, observations: Observations) -> float:
     if count == 0:
         return 1.0
     freedom = max(1, count - found.at.free.size // 3)
-    return float(student.ppf(0.841344746, freedom))
+    return float(scipy.special.stdtrit(freedom, 0.841344746))

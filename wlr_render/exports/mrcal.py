@@ -5,9 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import NdBSpline
-from scipy.sparse import csr_array, diags_array, eye_array, kron, vstack
-from scipy.spatial.transform import Rotation
+import scipy
 
 from wlr_render.errors import BadInputError
 from wlr_render.exports.export_view import ExportedView, has_ray
@@ -82,12 +80,12 @@ def _intervals_per_unit(field_x_deg: float, columns: int) -> float:
     return float((columns - 3) / (4 * np.tan(np.radians(field_x_deg) / 4)))
 
 
-def _spline_weights(u: FloatArray, field_x_deg: float, shape: tuple[int, int]) -> csr_array:
+def _spline_weights(u: FloatArray, field_x_deg: float, shape: tuple[int, int]) -> "scipy.sparse.csr_array":
     """Return the weights (n, control points) of the uniform cubic B-spline at stereographic coordinates (n, 2)."""
     index = u * _intervals_per_unit(field_x_deg, shape[0]) + 0.5 * (np.array(shape) - 1)
     knots = tuple(np.arange(count + 4) - 2.0 for count in reversed(shape))
-    weights = NdBSpline.design_matrix(np.ascontiguousarray(index[:, ::-1]), knots, 3)
-    return csr_array(weights, shape=(len(u), shape[0] * shape[1]))
+    weights = scipy.interpolate.NdBSpline.design_matrix(np.ascontiguousarray(index[:, ::-1]), knots, 3)
+    return scipy.sparse.csr_array(weights, shape=(len(u), shape[0] * shape[1]))
 
 
 @functools.lru_cache(maxsize=3)
@@ -145,13 +143,15 @@ def _projected(camera: SplinedLens, u: FloatArray) -> FloatArray:
     return np.asarray((u + shift) * camera.focal_px + camera.centre_px)
 
 
-def _third_differences(shape: tuple[int, int]) -> csr_array:
+def _third_differences(shape: tuple[int, int]) -> "scipy.sparse.csr_array":
     """Return the third differences of neighbouring control points along both axes, (m, control points)."""
     along = [
-        diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(max(size - 3, 0), size)) for size in shape
+        scipy.sparse.diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(max(size - 3, 0), size))
+        for size in shape
     ]
-    across = kron(eye_array(shape[1]), along[0])
-    return csr_array(vstack([across, kron(along[1], eye_array(shape[0]))]))
+    across, down = (scipy.sparse.eye_array(size) for size in shape[::-1])
+    both = scipy.sparse.kron(across, along[0]), scipy.sparse.kron(along[1], down)
+    return scipy.sparse.csr_array(scipy.sparse.vstack(both))
 
 
 def _cameramodel(view: ExportedView, fitted: tuple[SplinedLens, FloatArray], texts: dict[str, str]) -> str:
@@ -182,7 +182,7 @@ def _camera_from_device(view: ExportedView) -> FloatArray:
     """Return the extrinsics (6,): Rodrigues vector and translation from the device frame to OpenCV's camera axes."""
     turned = view.source.device_from_camera @ transforms.OPENXR_FROM_OPENCV
     pose = transforms.inverse(transforms.rigid(turned, view.source.position_in_device))
-    return np.concatenate([Rotation.from_matrix(pose[:3, :3]).as_rotvec(), pose[:3, 3]])
+    return np.concatenate([scipy.spatial.transform.Rotation.from_matrix(pose[:3, :3]).as_rotvec(), pose[:3, 3]])
 
 
 def _rms(errors: FloatArray) -> float:

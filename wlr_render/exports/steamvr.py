@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from wlr_render.errors import BadInputError
 from wlr_render.exports.export_view import ExportedView, has_ray
@@ -144,7 +144,7 @@ def _fitted(view: ExportedView) -> _Fit:
         shown, wanted = in_lens(unknown)
         return np.asarray((shown - wanted).ravel())
 
-    found = least_squares(residual, start, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+    found = scipy.optimize.least_squares(residual, start, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14).x
     shown, wanted = in_lens(found)
     of_colour = found[_COMMON:].reshape(len(exact), _OF_COLOUR)
     return _Fit(

@@ -4,7 +4,7 @@ A transform is named by its frames: `point_in_world = apply(world_from_device, p
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from wlr_render.numerics.arrays import FloatArray
 
@@ -72,13 +72,13 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
 def rotations_of_vectors(vector: FloatArray) -> FloatArray:
     """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3) in radians."""
     vector = np.asarray(vector, dtype=np.float64)
-    return _matrices(Rotation.from_rotvec(vector.reshape(-1, 3)), vector.shape[:-1])
+    return _matrices(scipy.spatial.transform.Rotation.from_rotvec(vector.reshape(-1, 3)), vector.shape[:-1])
 
 
 def rotation_of_quaternion(xyzw: FloatArray) -> FloatArray:
     """Return the rotation matrices (..., 3, 3) of quaternions xyzw (..., 4)."""
     xyzw = np.asarray(xyzw, dtype=np.float64)
-    return _matrices(Rotation.from_quat(xyzw.reshape(-1, 4)), xyzw.shape[:-1])
+    return _matrices(scipy.spatial.transform.Rotation.from_quat(xyzw.reshape(-1, 4)), xyzw.shape[:-1])
 
 
 def between(first: FloatArray, last: FloatArray, fraction: FloatArray) -> FloatArray:
@@ -86,10 +86,10 @@ def between(first: FloatArray, last: FloatArray, fraction: FloatArray) -> FloatA
 
     Spherical linear interpolation of the rotation, linear interpolation of the translation.
     """
-    vector = Rotation.from_matrix(first[:3, :3].T @ last[:3, :3]).as_rotvec()
+    vector = scipy.spatial.transform.Rotation.from_matrix(first[:3, :3].T @ last[:3, :3]).as_rotvec()
     rotated = first[:3, :3] @ rotations_of_vectors(fraction[:, None] * vector)
     return rigid(rotated, first[:3, 3] + fraction[:, None] * (last[:3, 3] - first[:3, 3]))
 
 
-def _matrices(rotations: Rotation, shape: tuple[int, ...]) -> FloatArray:
+def _matrices(rotations: "scipy.spatial.transform.Rotation", shape: tuple[int, ...]) -> FloatArray:
     return np.asarray(rotations.as_matrix().reshape(*shape, 3, 3))

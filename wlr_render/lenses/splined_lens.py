@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import NdBSpline
-from scipy.spatial import cKDTree
+import scipy
 
 from wlr_render.errors import BadInputError
 from wlr_render.lenses.lens import GNOMONIC, STEREOGRAPHIC, Projection, undistorted
@@ -102,10 +101,10 @@ class SplinedLens:
         return GNOMONIC.position(direction.reshape(-1, 3)).reshape(*direction.shape[:-1], 2)
 
     @cached_property
-    def _shift(self) -> NdBSpline:
+    def _shift(self) -> "scipy.interpolate.NdBSpline":
         """Shift as a function of the index (x, y) of the control points."""
         knots = (np.arange(count + self.order + 1) - 0.5 * (self.order + 1) for count in self._counts)
-        return NdBSpline(tuple(knots), self.control.transpose(1, 0, 2), self.order, extrapolate=False)
+        return scipy.interpolate.NdBSpline(tuple(knots), self.control.transpose(1, 0, 2), self.order, extrapolate=False)
 
     @property
     def _counts(self) -> IntArray:
@@ -122,7 +121,7 @@ class SplinedLens:
         return float((self._counts[0] - self.order) / width)
 
     @cached_property
-    def _starts(self) -> tuple[FloatArray, cKDTree]:
+    def _starts(self) -> "tuple[FloatArray, scipy.spatial.cKDTree]":
         """Positions that the model sees, and a tree of their images."""
         first = 0.5 * (self.order - 1)
         x, y = (np.linspace(first, n - 1 - first, int(_STARTS_PER_KNOT * (n - self.order)) + 1) for n in self._counts)
@@ -132,7 +131,7 @@ class SplinedLens:
         valid = np.asarray(np.isfinite(image).all(axis=1))
         if not valid.any():
             raise BadInputError("the spline of the lens folds everywhere; check the order of its control points.")
-        return position[valid], cKDTree(image[valid])
+        return position[valid], scipy.spatial.cKDTree(image[valid])
 
     def _image_and_slope(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the distorted positions (n, 2) of positions (n, 2) and the Jacobian (n, 2, 2); NaN where undefined."""

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import blas, lapack
+import scipy
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.posterior import Posterior, solved
@@ -179,7 +179,9 @@ def weight_values(weight: Weights, values: FloatArray, transposed: bool = False)
     for each in weight:
         first, last = last, last + len(each)
         # The triangular product takes half the time; BLAS sees these arrays transposed.
-        product[first:last] = blas.dtrmm(1.0, each.T, flat[first:last].T, side=1, trans_a=int(transposed)).T
+        product[first:last] = scipy.linalg.blas.dtrmm(
+            1.0, each.T, flat[first:last].T, side=1, trans_a=int(transposed)
+        ).T
     return product.reshape(values.shape)
 
 
@@ -300,7 +302,7 @@ def _cholesky(normal: FloatArray) -> FloatArray:
     """Return the lower triangular factor of a positive definite matrix."""
     if len(normal) == 0:
         return normal
-    factor, failed = lapack.dpotrf(normal, lower=1, clean=1)
+    factor, failed = scipy.linalg.lapack.dpotrf(normal, lower=1, clean=1)
     if failed:
         raise np.linalg.LinAlgError("the normal matrix is not positive definite")
     return np.asarray(factor)

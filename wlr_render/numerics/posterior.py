@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import lapack
+import scipy
 
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
@@ -174,7 +174,7 @@ def solved(lower: FloatArray, columns: FloatArray, transposed: bool = False) -> 
     """Return L^-1 columns, or L'^-1 columns, of a lower triangular matrix L."""
     if columns.size == 0:
         return np.zeros_like(columns)
-    solution, _ = lapack.dtrtrs(lower, columns, lower=1, trans=int(transposed))
+    solution, _ = scipy.linalg.lapack.dtrtrs(lower, columns, lower=1, trans=int(transposed))
     return np.asarray(solution)
 
 
@@ -182,7 +182,7 @@ def _inverse(lower: FloatArray) -> FloatArray:
     """Return the inverse of the matrix with this Cholesky factor."""
     if len(lower) == 0:
         return lower
-    half, _ = lapack.dpotri(lower, lower=1)
+    half, _ = scipy.linalg.lapack.dpotri(lower, lower=1)
     return np.asarray(half + np.tril(half, -1).T)
 
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.scatter import (
@@ -45,7 +45,7 @@ def best_scatter(sums: ScatterSums, start: Scatter) -> tuple[Scatter, float]:
     low = np.concatenate([np.zeros(PARTS), np.full(2 * PARTS, _LOWEST)])[free]
     high = np.concatenate([np.full(PARTS, _NOISIEST), np.full(2 * PARTS, _HIGHEST)])[free]
     inside = np.clip(first[free], low, high)
-    found = minimize(
+    found = scipy.optimize.minimize(
         with_slopes,
         inside,
         jac=True,

@@ -16,9 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.linalg import lapack
-from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
+import scipy
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
@@ -48,7 +46,7 @@ class SharedNoise:
 
     def correlation(self, place: FloatArray) -> FloatArray:
         """Return the correlation (n, n) of the field between places (n, 2)."""
-        return self.correlation_at(cdist(place, place))
+        return self.correlation_at(scipy.spatial.distance.cdist(place, place))
 
     def correlation_at(self, distance: FloatArray) -> FloatArray:
         """Return the correlation of the field between places at these distances."""
@@ -78,7 +76,7 @@ class SharedNoise:
         covariance = self.share * self.correlation(place[rows])
         covariance[np.diag_indices(len(rows))] += (1.0 - self.share) / kept[rows] ** 2
         root = np.zeros((len(kept), len(kept)))
-        root[np.ix_(rows, rows)] = lapack.dtrtri(np.linalg.cholesky(covariance), lower=1)[0]
+        root[np.ix_(rows, rows)] = scipy.linalg.lapack.dtrtri(np.linalg.cholesky(covariance), lower=1)[0]
         root.flags.writeable = False
         return root
 
@@ -107,7 +105,7 @@ class Contrasts:
         axes, sizes, _ = np.linalg.svd(design)
         across = np.asarray(axes[:, int(np.sum(sizes > 1e-9 * sizes[0])) :])
         seen = across.T @ values
-        return cls(cdist(place, place), across, seen @ seen.T)
+        return cls(scipy.spatial.distance.cdist(place, place), across, seen @ seen.T)
 
     def likelihood_terms(self, field: SharedNoise, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return terms of the restricted likelihood of noise of unit variance, of which a field has shares (k,).
@@ -178,7 +176,7 @@ def find_shared_noise(
 
 def neighbour_distance(places: Sequence[FloatArray]) -> float:
     """Return the median distance between neighbours among the places (n, 2) of several photographs; NaN without any."""
-    distances = [np.median(KDTree(place).query(place, 2)[0][:, 1]) for place in places if len(place) > 1]
+    distances = [np.median(scipy.spatial.KDTree(place).query(place, 2)[0][:, 1]) for place in places if len(place) > 1]
     return float(np.median(distances)) if distances else np.nan
 
 

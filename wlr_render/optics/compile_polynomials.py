@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+import scipy
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
@@ -153,13 +153,13 @@ def _ridge_regression(inputs: FloatArray, orders: IntArray, box: Box) -> Callabl
     """Return the function from outputs (n, k) to coefficients (terms, k)."""
     design = basis(inputs, orders, box)
     ridge = _RIDGE * len(design) * (1.0 + orders.sum(axis=1)) ** 2
-    factor = cho_factor(design.T @ design + np.diag(ridge), lower=True, overwrite_a=True)
+    factor = scipy.linalg.cho_factor(design.T @ design + np.diag(ridge), lower=True, overwrite_a=True)
 
     def solve(outputs: FloatArray) -> FloatArray:
-        first = cho_solve(factor, design.T @ outputs)
+        first = scipy.linalg.cho_solve(factor, design.T @ outputs)
         # One refinement: the normal equations lose half of the digits.
         rest = design.T @ (outputs - design @ first) - ridge[:, None] * first
-        return np.asarray(first + cho_solve(factor, rest))
+        return np.asarray(first + scipy.linalg.cho_solve(factor, rest))
 
     return solve
 

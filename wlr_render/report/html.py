@@ -5,14 +5,15 @@ import functools
 import gzip
 import importlib.resources
 import json
-
-import jinja2
-import markupsafe
+from typing import TYPE_CHECKING
 
 from wlr_render.io.escapes import html_code, html_text, plotly_text
 from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text
 from wlr_render.report.provenance import Provenance
 from wlr_render.report.records import to_jsonable
+
+if TYPE_CHECKING:
+    import jinja2
 
 
 def html_page(report: Report, provenance: Provenance) -> str:
@@ -37,7 +38,10 @@ def _kind(block: object) -> str:
 
 
 @functools.cache
-def _template() -> jinja2.Template:
+def _template() -> "jinja2.Template":
+    import jinja2
+    import markupsafe
+
     environment = jinja2.Environment(
         autoescape=True, finalize=html_text, undefined=jinja2.StrictUndefined, trim_blocks=True
     )

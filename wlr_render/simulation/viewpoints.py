@@ -7,6 +7,7 @@ there.
 """
 
 import numpy as np
+import scipy
 
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeBox
@@ -38,10 +39,8 @@ def planar(eye_box: EyeBox, reach: FloatArray, count: int) -> FloatArray:
 
 def volumetric(eye_box: EyeBox, count: int) -> FloatArray:
     """Return viewpoints (count, 3) in the whole eye box: the first points of Sobol's sequence, Chebyshev-spaced."""
-    from scipy.stats import qmc
-
     power = int(np.ceil(np.log2(_at_least_one(count))))
-    unit = qmc.Sobol(3, scramble=False).random_base2(power)[:count] + 0.5 / 2**power
+    unit = scipy.stats.qmc.Sobol(3, scramble=False).random_base2(power)[:count] + 0.5 / 2**power
     return eye_box.at(_chebyshev_spaced(unit))
 
 

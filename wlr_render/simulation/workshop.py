@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy
 
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
@@ -176,7 +176,7 @@ class Workshop:
         return np.asarray(peak * shape / np.abs(_screw_shape(one_turn, phase)).max(axis=0))
 
     @cached_property
-    def _turns(self) -> list[PchipInterpolator]:
+    def _turns(self) -> "list[scipy.interpolate.PchipInterpolator]":
         """Rotation vector (3,) in urad by the reading of each axis: a random walk of knots and a step; 0 at 0."""
         rng, half = self._rng("abbe"), 0.5 * _TURN_TRAVEL_M
         knots = np.arange(-4.0 * half, 4.0 * half + _KNOT_M, _KNOT_M)
@@ -184,9 +184,11 @@ class Workshop:
         for _ in range(3):
             step = np.tanh((knots[:, None] - rng.uniform(-half, half, 3)) / _KNOT_M) * rng.choice([-2.0, 2.0], 3)
             walk = np.cumsum(rng.standard_normal((len(knots), 3)), axis=0) + step
-            curve = PchipInterpolator(knots, walk)
+            curve = scipy.interpolate.PchipInterpolator(knots, walk)
             span = np.ptp(curve(np.linspace(-half, half, 81)), axis=0)
-            curves.append(PchipInterpolator(knots, (walk - curve(0.0)) * rng.uniform(*_TURN_URAD, 3) / span))
+            curves.append(
+                scipy.interpolate.PchipInterpolator(knots, (walk - curve(0.0)) * rng.uniform(*_TURN_URAD, 3) / span)
+            )
         return curves
 
     def _lens_shape(self, unit: FloatArray) -> FloatArray:

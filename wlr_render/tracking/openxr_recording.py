@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -58,7 +58,7 @@ class _Located:
 
     def poses(self) -> FloatArray:
         """Return the poses (n, 4, 4)."""
-        return transforms.rigid(Rotation.from_quat(self.xyzw).as_matrix(), self.position)
+        return transforms.rigid(scipy.spatial.transform.Rotation.from_quat(self.xyzw).as_matrix(), self.position)
 
 
 def read_openxr_head(path: str | Path) -> HeadTrajectory:
@@ -76,7 +76,7 @@ def read_openxr_head(path: str | Path) -> HeadTrajectory:
     head = located["view"]
     world_from_device = head.poses() @ transforms.inverse(device_from_view)
     require_plausible_motion(str(path), head.time_s, head.position, _HEAD_FAR_M)
-    xyzw = Rotation.from_matrix(world_from_device[:, :3, :3]).as_quat()
+    xyzw = scipy.spatial.transform.Rotation.from_matrix(world_from_device[:, :3, :3]).as_quat()
     return HeadTrajectory(head.time_s, world_from_device[:, :3, 3], xyzw, str(path), head.invalid_s)
 
 

@@ -1,8 +1,8 @@
 """Synthetic wearer: smooth head motion and saccades, reproducible by seed. For demonstrations, not as evidence."""
 
 import numpy as np
+import scipy
 from numpy.random import Generator
-from scipy.spatial.transform import Rotation
 
 from wlr_render.geometry import directions
 from wlr_render.numerics.arrays import FloatArray
@@ -30,7 +30,7 @@ def head_motion(seed: int, duration_s: float = 10.0, rate_hz: float = 90.0) -> H
     waves = _slow_waves(rng, time_s)
     position = waves[:, :3] * _SWAY_M
     nod, shake, tilt = (np.deg2rad(_TURN_DEG) * waves[:, 3:]).T
-    xyzw = Rotation.from_euler("YXZ", np.stack([shake, nod, tilt], axis=-1)).as_quat()
+    xyzw = scipy.spatial.transform.Rotation.from_euler("YXZ", np.stack([shake, nod, tilt], axis=-1)).as_quat()
     return HeadTrajectory(time_s, position, xyzw, f"synthetic head, seed {seed}")
 
 

@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation, Slerp
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
@@ -70,8 +70,10 @@ class HeadTrajectory(_Sampled):
         return transforms.rigid(rotation.reshape(*position.shape, 3), position)
 
     @cached_property
-    def _rotation(self) -> Slerp:
-        return Slerp(self.time_s, Rotation.from_quat(self.world_from_device_xyzw))
+    def _rotation(self) -> "scipy.spatial.transform.Slerp":
+        return scipy.spatial.transform.Slerp(
+            self.time_s, scipy.spatial.transform.Rotation.from_quat(self.world_from_device_xyzw)
+        )
 
 
 class EyeTrack(Protocol):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
@@ -60,7 +60,7 @@ class EyeCamera:
     @property
     def orientation_xyzw(self) -> FloatArray:
         """(4,) unit quaternion x, y, z, w of the turn from the camera to the world: `orientation` of XrView's pose."""
-        return np.asarray(Rotation.from_matrix(self.world_from_camera[:3, :3]).as_quat())
+        return np.asarray(scipy.spatial.transform.Rotation.from_matrix(self.world_from_camera[:3, :3]).as_quat())
 
     @property
     def camera_from_world(self) -> FloatArray:

@@ -7,6 +7,7 @@ rays. This is the default, "nearest"; the paper's is "viewpoint".
 """
 
 import functools
+import importlib
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -292,6 +293,7 @@ class EyePlan:
             raster_camera: position of the camera of the intermediate image.
             late_margin: tangents by which the head may turn between drawing and scan-out.
         """
+        importlib.import_module("scipy.spatial.transform")  # takes half a second, for which no frame may wait
         middle = middle_channel(channels)
         axes = middle_axes(middle)
         camera = intermediate_camera(channels, axes, resolution, size_px, late_margin)

@@ -4,7 +4,6 @@ Every worker reads and writes the files of a job at the same paths as the progra
 a shared file system. A task checks this, and the versions of the libraries, before anything of it is unpickled.
 """
 
-import asyncio
 import contextlib
 import ctypes
 import functools
@@ -101,6 +100,8 @@ def _require_scheduler(address: str) -> None:
         with socket.create_connection((parts[2].strip("[]"), int(parts[3])), _CONNECT_S):
             pass
         # In a separate thread: a notebook's thread already has an event loop.
+        import asyncio
+
         with _silent_log(), ThreadPoolExecutor(1) as thread:
             thread.submit(lambda: asyncio.run(_shake_hands(address))).result()
     except (OSError, UnicodeError, ValueError, TypeError, RuntimeError) as error:
@@ -109,6 +110,8 @@ def _require_scheduler(address: str) -> None:
 
 
 async def _shake_hands(address: str) -> None:
+    import asyncio
+
     from distributed.core import connect
     from distributed.security import Security
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import gammaln
-from scipy.stats import chi2, norm
+import scipy
 
 from wlr_render.calibration.bench.adjustment import Adjustment
 from wlr_render.calibration.bench.bench_blocks import USUAL_SIZES, Key
@@ -76,11 +75,11 @@ class Pull:
 
 def significance(chi_square: float, freedom: int) -> float:
     """Return standard deviations of one normal variable that are as improbable as this chi-squared."""
-    probability = float(chi2.sf(chi_square, freedom))
+    probability = float(scipy.special.chdtrc(freedom, chi_square))
     if probability > 1e-300:
-        return float(max(norm.isf(0.5 * probability), 0.0))
+        return float(max(-scipy.special.ndtri(0.5 * probability), 0.0))
     half, x = 0.5 * freedom, 0.5 * chi_square  # the tail of the incomplete gamma function
-    return float(np.sqrt(2.0 * (x - (half - 1.0) * np.log(x) + gammaln(half))))
+    return float(np.sqrt(2.0 * (x - (half - 1.0) * np.log(x) + scipy.special.gammaln(half))))
 
 
 def refuse_contradictions(checks: Iterable[Check]) -> None:
@@ -131,7 +130,7 @@ def prior_pulls(adjustment: Adjustment) -> list[Pull]:
         chi_square = float(np.sum(away[learnt] ** 2 / size[learnt]))
         freedom = int(np.count_nonzero(learnt))
         if freedom:
-            pulls.append(Pull(kind, chi_square, freedom, float(chi2.sf(chi_square, freedom))))
+            pulls.append(Pull(kind, chi_square, freedom, float(scipy.special.chdtrc(freedom, chi_square))))
     return pulls
 
 
@@ -146,7 +145,7 @@ def reading_pulls(adjustment: Adjustment) -> list[Pull]:
     for name, reduced in adjustment.chi_square.items():
         freedom = float(normal.values[name])
         # Stated sigmas are known to a factor: their logarithm is what is judged.
-        chance = 2.0 * float(norm.sf(abs(0.5 * np.log(max(reduced, 1e-12))) / _NOISE_DIFFERS))
+        chance = 2.0 * float(scipy.special.ndtr(-abs(0.5 * np.log(max(reduced, 1e-12))) / _NOISE_DIFFERS))
         pulls.append(Pull(f"board features, {_CAMERAS[name]}", reduced * freedom, freedom, chance))
     offsets = np.array(list(adjustment.state.of("offset").values())).reshape(-1, 6)
     if len(offsets):
@@ -158,7 +157,7 @@ def reading_pulls(adjustment: Adjustment) -> list[Pull]:
             variance = np.array([np.diag(adjustment.covariance[where, where])[part] for where in columns])
             freedom = float(np.sum(1.0 - np.minimum(variance / size**2, 1.0)))
             chi_square = float(np.sum(offsets[:, part] ** 2)) / size**2
-            pulls.append(Pull(kind, chi_square, freedom, float(chi2.sf(chi_square, max(freedom, 1e-9)))))
+            pulls.append(Pull(kind, chi_square, freedom, float(scipy.special.chdtrc(max(freedom, 1e-9), chi_square))))
     return pulls
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy
 
 from wlr_render.calibration.bench.bench_blocks import Key
 from wlr_render.calibration.bench.board_views import EYEBALL
@@ -72,7 +72,7 @@ def _shared_root(bench: CalibratedBench) -> tuple[FloatArray, tuple[str, ...]]:
     sources = tuple(name for name, keys in of.items() for _ in adjustment.layout.columns(keys))
     covariance = adjustment.covariance[columns]
     root = lower_root(covariance[:, columns], _JITTER)
-    return np.asarray(solve_triangular(root, covariance, lower=True)).T, sources
+    return np.asarray(scipy.linalg.solve_triangular(root, covariance, lower=True)).T, sources
 
 
 def _errors(

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from wlr_render import usual
 from wlr_render.calibration.bench.bench_blocks import (
@@ -118,7 +118,7 @@ def board_pose(lens: Lens, view: BoardView) -> tuple[FloatArray, float]:
     seen = np.isfinite(direction).all(axis=1)
     # A camera turned towards the board sees all of it less than 90 degrees off axis, wherever the lens looks.
     middle = direction[seen].sum(axis=0) if seen.any() else np.array([0.0, 0.0, 1.0])
-    ahead = Rotation.align_vectors([[0.0, 0.0, 1.0]], middle[None])[0].as_matrix()
+    ahead = scipy.spatial.transform.Rotation.align_vectors([[0.0, 0.0, 1.0]], middle[None])[0].as_matrix()
     direction = direction @ ahead.T
     good = seen & (direction[:, 2] > _LEAST_COSINE)
     if np.count_nonzero(good) < 4:

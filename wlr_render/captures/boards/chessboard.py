@@ -6,8 +6,8 @@ from typing import Annotated
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, uniform_filter
 
 from wlr_render.captures.boards.board import (
     USUAL_TOLERANCES,
@@ -167,7 +167,7 @@ def _alternates(image: Photograph, grid: FloatArray) -> bool:
     cells = _cells(image, grid)
     middle = np.median(cells, axis=-1)
     # A window three squares wide has a near balance of black and white, also with mirrored edges.
-    threshold = uniform_filter(middle, 3, mode="mirror")
+    threshold = scipy.ndimage.uniform_filter(middle, 3, mode="mirror")
     row, column = np.indices(middle.shape)
     light = (cells > threshold[..., None]) == ((row + column) % 2 == 0)[..., None]
     share = float(np.mean(light))
@@ -213,4 +213,4 @@ def _steps(image: Photograph, line: FloatArray) -> FloatArray:
 def _grey(image: Photograph, pixel: FloatArray) -> FloatArray:
     """Return the grey values (...) at pixels (..., 2); NaN outside the picture."""
     place = np.moveaxis(pixel[..., ::-1] - 0.5, -1, 0)
-    return np.asarray(map_coordinates(image, place, np.float64, order=1, mode="constant", cval=np.nan))
+    return np.asarray(scipy.ndimage.map_coordinates(image, place, np.float64, order=1, mode="constant", cval=np.nan))

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import erf
 
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
@@ -181,7 +181,7 @@ class _Linearised:
         # Next to the first axis' edge the second axis has one sign, and vice versa.
         side = np.sign(cos_1 * sin_2 - sin_1 * cos_2)
         from_1, from_2 = side * (cos_1 * y - sin_1 * x), side * (sin_2 * x - cos_2 * y)
-        edge_1, edge_2 = erf(from_1 / (np.sqrt(2.0) * blur)), erf(from_2 / (np.sqrt(2.0) * blur))
+        edge_1, edge_2 = (scipy.special.erf(each / (np.sqrt(2.0) * blur)) for each in (from_1, from_2))
         steep_1, steep_2 = (
             np.sqrt(2.0 / np.pi) / blur * np.exp(-0.5 * (distance / blur) ** 2) for distance in (from_1, from_2)
         )

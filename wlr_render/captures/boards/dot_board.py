@@ -11,7 +11,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
 from wlr_render.captures.boards.board import (
     USUAL_TOLERANCES,
@@ -24,7 +23,7 @@ from wlr_render.captures.boards.board import (
 )
 from wlr_render.captures.boards.board_keys import BoardLength
 from wlr_render.captures.boards.dot_centres import MeasuredDots, measure_dots
-from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, DotLattice, find_dots, link_lattices
+from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, DotLattice, correlated, find_dots, link_lattices
 from wlr_render.captures.boards.lattice_shape import Discs, LatticeShape, smooth_rows
 from wlr_render.captures.photographs import Photograph
 from wlr_render.io.file_records import Key, Quantity, Rule
@@ -233,12 +232,9 @@ def _disagreeing(turned: IntArray, is_large: BoolArray, board_large: BoolArray) 
     fragment[turned[:, 1] - low[1], turned[:, 0] - low[0]] = np.where(is_large, 1.0, -1.0)
     board = np.where(board_large, 1.0, -1.0)
 
-    def over_all_places(of_board: FloatArray, of_fragment: FloatArray) -> IntArray:
-        return np.asarray(np.rint(correlate(of_board, of_fragment, mode="full")), dtype=np.int64)
-
     # Dots on the board that agree minus dots that do not; and the number of dots on the board.
-    balance = over_all_places(board, fragment)
-    on_board = over_all_places(np.ones_like(board), np.abs(fragment))
+    balance = correlated(board, fragment)
+    on_board = correlated(np.ones_like(board), np.abs(fragment))
     return np.asarray(len(turned) - (balance + on_board) // 2)
 
 

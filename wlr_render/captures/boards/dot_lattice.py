@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
@@ -141,7 +141,7 @@ def _deepest_of_each_place(dots: Dots, depth: FloatArray) -> NDArray[np.bool_]:
     keep = np.ones(len(dots), dtype=bool)
     if len(dots) < 2:
         return keep
-    tree, radius = cKDTree(dots.centre), dots.radius
+    tree, radius = scipy.spatial.cKDTree(dots.centre), dots.radius
     within = tree.query_ball_point(dots.centre, radius)
     for dot in np.argsort(-depth):
         others = [other for other in within[dot] if other != dot] if keep[dot] else []
@@ -173,7 +173,7 @@ def link_lattices(dots: Dots) -> list[DotLattice]:
     """Return all lattices of 9 dots or more, the largest first; no dot is in two."""
     if len(dots) < LEAST_DOTS:
         return []
-    tree = cKDTree(dots.centre)
+    tree = scipy.spatial.cKDTree(dots.centre)
     seeds, steps = _crosses(dots, tree)
     free = np.ones(len(dots), dtype=bool)
     lattices: list[DotLattice] = []
@@ -188,7 +188,7 @@ def link_lattices(dots: Dots) -> list[DotLattice]:
     return sorted((each for each in lattices if len(each) >= LEAST_DOTS), key=len, reverse=True)
 
 
-def _crosses(dots: Dots, tree: cKDTree) -> tuple[IntArray, FloatArray]:
+def _crosses(dots: Dots, tree: "scipy.spatial.cKDTree") -> tuple[IntArray, FloatArray]:
     """Return the dots with four neighbours in a cross, the clearest first, and their two steps (m, 2, 2), pixels."""
     count = min(_NEIGHBOURS + 1, len(dots))
     near = tree.query(dots.centre, count)[1][:, 1:]
@@ -220,7 +220,9 @@ def _straightening(dots: Dots, near: IntArray) -> FloatArray:
     return np.asarray(np.einsum("nik,nk,njk->nij", axes, np.maximum(squares, 1e-9) ** -0.5, axes))
 
 
-def _grown(centre: FloatArray, tree: cKDTree, seed: int, step: FloatArray, free: NDArray[np.bool_]) -> DotLattice:
+def _grown(
+    centre: FloatArray, tree: "scipy.spatial.cKDTree", seed: int, step: FloatArray, free: NDArray[np.bool_]
+) -> DotLattice:
     """Return the connected lattice of a seed; `step` is (2, 2), pixels per unit of each coordinate in rows."""
     at = {(0, 0): seed}
     index_of = {seed: (0, 0)}
@@ -259,3 +261,14 @@ def _local_step(
     to_others = centre[[other for _, other in near]] - centre[dot]
     normal = offsets.T @ offsets + _INHERITED * np.eye(2)
     return np.linalg.solve(normal, offsets.T @ to_others + _INHERITED * inherited)
+
+
+def correlated(grid: FloatArray, part: FloatArray) -> IntArray:
+    """Return the sums of products of whole numbers (m, n) with a part (p, q) at all places where the two overlap.
+
+    The result is (m + p - 1, n + q - 1); its first has the part's last number at the grid's first.
+    """
+    shape = (grid.shape[0] + part.shape[0] - 1, grid.shape[1] + part.shape[1] - 1)
+    product = np.fft.rfft2(grid, shape) * np.fft.rfft2(part, shape).conj()
+    sums = np.roll(np.fft.irfft2(product, shape), (part.shape[0] - 1, part.shape[1] - 1), axis=(0, 1))
+    return np.asarray(np.rint(sums), dtype=np.int64)

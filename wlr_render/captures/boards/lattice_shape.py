@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from wlr_render.geometry.directions import normalised
 from wlr_render.lenses.lens import Lens
@@ -78,7 +78,7 @@ def lattice_shape(index: FloatArray | IntArray, pixel: FloatArray) -> LatticeSha
         index: (n, 2) lattice coordinates, n >= 2.
         pixel: (n, 2) where they are seen.
     """
-    near = cKDTree(index).query(index, min(_NEIGHBOURS + 1, len(index)))[1][:, 1:]
+    near = scipy.spatial.cKDTree(index).query(index, min(_NEIGHBOURS + 1, len(index)))[1][:, 1:]
     x, y = np.moveaxis((index[near] - index[:, None, :]).astype(np.float64), -1, 0)
     basis = np.stack([x**i * y**j / (math.factorial(i) * math.factorial(j)) for i, j in _POWERS], axis=-1)
     held = np.diag([(0.0, _LEAST_STIFFNESS, _STIFFNESS, _STIFFNESS)[i + j] for i, j in _POWERS])
@@ -157,7 +157,7 @@ def _centroid_shift(lens: Lens, place: FloatArray, direction: FloatArray, radius
         direction: (n, 3) directions of the centres, camera frame.
         radius: (n,) radii of the discs, in the units of `place`.
     """
-    unit = float(np.median(cKDTree(place).query(place, 2)[0][:, 1]))
+    unit = float(np.median(scipy.spatial.cKDTree(place).query(place, 2)[0][:, 1]))
     to_view = _looking_along(direction.mean(axis=0))
     in_view = direction @ to_view.T
     tangents = in_view[:, :2] / in_view[:, 2:]

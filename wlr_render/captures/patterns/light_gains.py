@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy
 
 from wlr_render.captures.patterns.photometry import INVERSE
 from wlr_render.captures.photographs import CodeImage
@@ -202,7 +202,7 @@ def inverse_pairs(names: Sequence[str]) -> list[tuple[int, int]]:
 def _drift(place: IntArray, gain: FloatArray, taken: IntArray) -> FloatArray:
     """Return the gain (n,) at places of the order of taking, interpolated between the white photographs."""
     order = np.argsort(place)
-    between = PchipInterpolator(place[order], gain[order])
+    between = scipy.interpolate.PchipInterpolator(place[order], gain[order])
     return np.asarray(between(np.clip(taken, place[order[0]], place[order[-1]])))
 
 

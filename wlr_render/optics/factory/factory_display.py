@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import RectBivariateSpline
+import scipy
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
@@ -85,14 +85,16 @@ class GridTangents:
         return _homogeneous(self.tangents_of_plane, pixel @ plane[:2] + plane[2] + distortion)
 
     @cached_property
-    def _affine_and_splines(self) -> tuple[FloatArray, list[RectBivariateSpline]]:
+    def _affine_and_splines(self) -> "tuple[FloatArray, list[scipy.interpolate.RectBivariateSpline]]":
         """The affine map (3, 2) next to the grid, and splines of the distances from it."""
         u, v = np.meshgrid(self.u, self.v)
         design = np.stack([u, v, np.ones_like(u)], axis=-1)
         affine = np.linalg.lstsq(design.reshape(-1, 3), self.point.reshape(-1, 2), rcond=None)[0].astype(np.float64)
         distortion = self.point - design @ affine
         degrees = {"kx": min(3, len(self.v) - 1), "ky": min(3, len(self.u) - 1)}
-        return affine, [RectBivariateSpline(self.v, self.u, distortion[..., axis], **degrees) for axis in range(2)]
+        return affine, [
+            scipy.interpolate.RectBivariateSpline(self.v, self.u, distortion[..., axis], **degrees) for axis in range(2)
+        ]
 
 
 def _homogeneous(matrix: FloatArray, position: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import normalised
@@ -176,7 +176,9 @@ def _wmr(table: Table) -> dict[str, _Calibrated]:
     if not eyes:
         raise information.fail("'Displays' is empty; name a file with the displays of a headset.")
     # The poses are those in a tracking camera, which looks down: the mean of the displays looks ahead.
-    middle = Rotation.from_matrix([each.rotation for each in eyes.values()]).mean().as_matrix().T
+    middle = (
+        scipy.spatial.transform.Rotation.from_matrix([each.rotation for each in eyes.values()]).mean().as_matrix().T
+    )
     return {
         side: _Calibrated(each.panel, middle @ each.rotation, middle @ each.place, each.tangents)
         for side, each in eyes.items()
@@ -249,7 +251,7 @@ def _is_folded(point: FloatArray, inside: BoolArray | bool = True) -> bool:
 def _rotation(table: Table, key: str, matrix: FloatArray) -> FloatArray:
     if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-3 or np.linalg.det(matrix) < 0:
         raise table.fail(f"'{key}' is not a rotation matrix; correct it.")
-    return np.asarray(Rotation.from_matrix(matrix).as_matrix(), np.float64)
+    return np.asarray(scipy.spatial.transform.Rotation.from_matrix(matrix).as_matrix(), np.float64)
 
 
 def _inverse(table: Table, key: str) -> FloatArray:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
@@ -93,7 +93,7 @@ def _even_samples(count: int) -> FloatArray:
     shape = (_CANDIDATES if count <= 32 else _CANDIDATES // 20, half, 4)
     one_side = rng.permuted(np.broadcast_to(levels[:, None], shape), axis=1) * rng.choice([-1.0, 1.0], shape)
     sets = np.concatenate([one_side, np.zeros((shape[0], odd, 4)), -one_side], axis=1)
-    return np.asarray(min(sets, key=lambda points: qmc.discrepancy(points + 0.5)))
+    return np.asarray(min(sets, key=lambda points: scipy.stats.qmc.discrepancy(points + 0.5)))
 
 
 def _disc_of_square(square: FloatArray) -> FloatArray:

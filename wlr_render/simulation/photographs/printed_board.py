@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from wlr_render.captures.boards.board import Board, RealArray
 from wlr_render.numerics.arrays import Float32Array, FloatArray, IntArray
@@ -114,7 +114,7 @@ class PrintedBoard:
         """Offset (cells, cells, 2) of the feature nearest to each cell of the design, by y and x."""
         middle = (np.arange(_CELLS) + 0.5) / _CELLS - 0.5
         cells = np.stack(np.meshgrid(middle, middle), axis=-1) * self.design.size_m
-        nearest = cKDTree(self._designed).query(cells)[1]
+        nearest = scipy.spatial.cKDTree(self._designed).query(cells)[1]
         return np.asarray(self.offset_m[nearest], dtype=np.float32)
 
 
