@@ -86,7 +86,7 @@ class Adjustment:
         return poses, np.asarray(covariance)
 
     def camera_rows(self, places: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """How device_from_camera at places follows the unknowns.
+        """Return device_from_camera at places and its derivatives by the unknowns.
 
         Returns:
             The poses (n, 4, 4), small motions (n, 6, unknowns) of them in the device frame by each unknown, and the
@@ -166,7 +166,7 @@ def adjust(start: BenchState) -> Adjustment:
 
 
 def _alike(one: Sizes, other: Sizes) -> bool:
-    """Whether noise and errors of features have settled."""
+    """Return True if two rounds agree in the noise and in the sizes of the features' errors."""
     pairs = [(one.noise[name], other.noise[name]) for name in one.noise]
     pairs += [(one.feature_m[name], other.feature_m[name]) for name in one.feature_m]
     return all(abs(np.log(first / second)) < _SAME for first, second in pairs)

@@ -79,7 +79,7 @@ class Chart:
 
     Attributes:
         moved: value, step (k,) -> value.
-        apart: middle of the prior, value -> the step (k,) between them.
+        apart: middle of the prior, value -> step (k,) from the middle to the value.
     """
 
     moved: Callable[[Any, FloatArray], Any]

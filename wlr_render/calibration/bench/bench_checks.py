@@ -34,10 +34,10 @@ class Check:
     """Result of checking one quantity.
 
     Attributes:
-        step: of the procedure, or the photograph, that it speaks of.
+        step: step of the procedure, or photograph, that the check concerns.
         quantity: with its unit.
-        value: found; `sigma`: its standard deviation; `limit`: what would still be right.
-        sentence: what is off and what to do, or that it is right.
+        value: found; `sigma`: its standard deviation; `limit`: largest acceptable magnitude.
+        sentence: the problem and its remedy, or a statement that the value is right.
         ok: whether it is within the limit or within its uncertainty.
         contradictory: whether it is so far off that a calibration from it would be wrong.
     """
@@ -54,12 +54,12 @@ class Check:
 
 @dataclass(frozen=True)
 class Pull:
-    """How far readings or prior knowledge of one kind miss the solution.
+    """Chi-squared of readings or prior knowledge of one kind against the solution.
 
     Attributes:
         kind: of reading or knowledge.
         chi_square: sum of squares in units of sigma. freedom: its expectation.
-        probability: of so large a value by chance.
+        probability: of a value this extreme by chance.
     """
 
     kind: str
@@ -108,7 +108,7 @@ def bench_checks(adjustment: Adjustment, faults: Sequence[Fault]) -> list[Check]
 
 
 def prior_pulls(adjustment: Adjustment) -> list[Pull]:
-    """How far what was known beforehand is from what was found: extrinsics, given targets, known lenses, the board."""
+    """Compare adjusted values with their priors: extrinsics, given targets, known lenses and shapes of boards."""
     state, seen = adjustment.state, adjustment.state.observations
     named: dict[str, Key] = {}
     if seen.device_from_tracking is not None:
@@ -123,7 +123,7 @@ def prior_pulls(adjustment: Adjustment) -> list[Pull]:
         if key[0] == "shape":  # the smooth fields find their own size
             where = slice(where.start, where.start + len(BOARD_SHAPE))
         prior = np.diag(adjustment.layout.size[where] ** 2)
-        # What was found minus what was known has this covariance; directions that nothing was learnt of have none.
+        # Covariance of the adjusted minus the prior value; zero in directions that the views do not constrain.
         size, vectors = np.linalg.eigh(np.eye(len(prior)) - _scaled(adjustment.covariance[where, where], prior))
         learnt = size > 1e-3
         away = vectors.T @ (state.deviation([key])[: len(prior)] / np.sqrt(np.diag(prior)))
@@ -144,7 +144,7 @@ def reading_pulls(adjustment: Adjustment) -> list[Pull]:
     normal, pulls = adjustment.normal, []
     for name, reduced in adjustment.chi_square.items():
         freedom = float(normal.values[name])
-        # Stated sigmas are known to a factor: their logarithm is what is judged.
+        # Stated sigmas are uncertain by a factor, so the test applies to the logarithm of the noise ratio.
         chance = 2.0 * float(scipy.special.ndtr(-abs(0.5 * np.log(max(reduced, 1e-12))) / _NOISE_DIFFERS))
         pulls.append(Pull(f"board features, {_CAMERAS[name]}", reduced * freedom, freedom, chance))
     offsets = np.array(list(adjustment.state.of("offset").values())).reshape(-1, 6)
@@ -178,7 +178,7 @@ def _fault_check(fault: Fault) -> Check:
 
 
 def _explained(fault: Fault) -> str:
-    """Return the explanations that the views cannot tell apart, the likeliest first, with their probabilities."""
+    """Return the explanations that the views cannot distinguish, most probable first, with their probabilities."""
     odds: dict[str, float] = {}
     for each in (fault, *fault.alternatives):
         odds[_moved(each)] = odds.get(_moved(each), 0.0) + float(np.exp(each.log_odds - fault.log_odds))
@@ -217,7 +217,7 @@ def _moved(fault: Fault) -> str:
 
 
 def _stage_checks(adjustment: Adjustment) -> list[Check]:
-    """Check the stage's errors against those of ordinary stages."""
+    """Check the stage's errors against the range of ordinary stages."""
     if not adjustment.state.of("offset"):
         return []
     sizes, checks = adjustment.sizes, []
@@ -308,7 +308,7 @@ def _angles(adjustment: Adjustment) -> list[Check]:
 
 
 def _by_noise(adjustment: Adjustment) -> list[str]:
-    """Names of the cameras that saw a board; that of the worst photographs is first."""
+    """Return the names of the cameras that saw a board, in descending order of noise over the stated sigma."""
     return sorted(adjustment.chi_square, key=lambda name: -adjustment.sizes.noise[name])
 
 
@@ -325,7 +325,7 @@ def _worst_views(adjustment: Adjustment, camera: str) -> list[str]:
 
 
 def _noise_check(adjustment: Adjustment, name: str) -> Check:
-    """Check the features' noise against what the detector states."""
+    """Check the features' noise against the detector's stated sigmas."""
     noise = adjustment.sizes.noise[name]
     limit = float(np.exp(3.5 * _NOISE_DIFFERS))
     rms = np.sqrt(

@@ -1,4 +1,4 @@
-"""What the joint adjustment takes: views of boards seen directly, and what is known of the bench beforehand.
+"""Input of the joint adjustment: views of boards seen directly, and prior knowledge of the bench.
 
 Frames: device (OpenXR's axes), camera and board (OpenCV's axes); metres, radians. A view through the headset's optics
 is not direct and does not belong here.
@@ -43,7 +43,7 @@ class BoardView:
         sigma_px: (n,) standard deviation of `pixel` per axis; the adjustment finds a common factor for each camera.
         target: number of the target pose; None for a board held freely before the camera.
         place: name of the camera place; None where the camera's place does not matter (free board) or is the headset's.
-        board: which board, by name; targets with a board of their own have another.
+        board: name of the board; a target with a separate board has another name.
         discs: of dots, from which `pixel` is found again once the lens is known; None for corners.
     """
 
@@ -126,12 +126,12 @@ class CameraSetup:
 
 @dataclass(frozen=True, eq=False)
 class BenchObservations:
-    """All direct views of a bench, in the order of taking, and what is known of it.
+    """All direct views of a bench, in the order in which they were taken, and prior knowledge of the bench.
 
     Attributes:
         views: of all cameras.
         cameras: by name.
-        places: by name: those of the views, and any others whose pose is wanted.
+        places: by name: every place of a view, and any other place whose pose is required.
         axes: of the stage; empty without one.
         device_from_tracking: where the tracking camera sits; None without one.
         targets: poses device_from_target that are given beforehand.

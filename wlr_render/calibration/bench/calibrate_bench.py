@@ -39,12 +39,12 @@ class CalibratedBench:
     """Cameras, board, target poses and stage of a session in the device frame.
 
     Attributes:
-        session: what was photographed.
+        session: the photo session that was calibrated.
         adjustment: the joint adjustment, with the covariance of everything.
-        faults: single faults that were set apart.
+        faults: single faults, whose views were rejected or assigned a separate target or mounting.
         lenses: by camera, its rejected photographs and the kinds of lens that were tried.
-        checks: those that are not `ok` say which step is off.
-        unchecked: what could not be checked, and what to photograph so that it can.
+        checks: results of all checks; a result that is not `ok` names the faulty step.
+        unchecked: sentences on the checks that were not possible, with the photographs that would allow them.
     """
 
     session: PhotoSession
@@ -147,9 +147,9 @@ def _calibrated(
 
 
 def place_key(session: PhotoSession, entry: SessionEntry) -> str:
-    """Name of the visit of an entry: photographs of one visit share the camera's random error.
+    """Return the name of an entry's visit; photographs of one visit share the camera's random error.
 
-    With a stage every photograph is a visit of its own, but where the target was also seen past the optics.
+    With a stage, every photograph is a separate visit, except at places where the target was also seen past the optics.
     """
     if session.stage is None or any(each.place == entry.place for each in session.beside):
         return entry.place
@@ -157,7 +157,7 @@ def place_key(session: PhotoSession, entry: SessionEntry) -> str:
 
 
 def bench_observations(session: PhotoSession, reading: Reading) -> BenchObservations:
-    """Return the direct views of a session, and what it states beforehand.
+    """Return the direct views of a session, with its given poses, lenses and board tolerances.
 
     Raises:
         BadInputError: nothing fixes the device frame, or a gauge is not possible.

@@ -1,8 +1,8 @@
-"""What a calibrated bench knows of its errors, as captures take it: each camera's own motion, and what all share.
+"""Errors of a calibrated bench in the form that captures use: independent motion of each camera, and common errors.
 
 The joint covariance of the unknowns has a block-lower-triangular root in the order of `SOURCES`: the variables of a
-source are what the sources before it leave unknown. Of each source the few combinations that move readings are kept;
-the rest of a camera's motion counts as its own.
+source describe its errors given the sources before it. Only the few combinations of each source that affect the
+readings are kept; the rest of a camera's motion counts as independent.
 """
 
 from collections.abc import Sequence
@@ -116,7 +116,7 @@ def _lens_change(bench: CalibratedBench, factor: FloatArray) -> Polynomial | Non
     tangents = lens.tangents_of_pixel(pixel)
     tangents = tangents[np.isfinite(tangents).all(axis=1)]
     seen = lens.project(np.column_stack([tangents, np.ones(len(tangents))]))
-    # Where a pixel stays, its tangents undo what the values change.
+    # At a fixed pixel, the change of the tangents cancels the effect of the change of the lens values.
     by_variable = seen.by_values @ factor[bench.adjustment.layout.where["lens", EYEBALL]]
     change = -np.linalg.solve(seen.by_point[:, :, :2], by_variable)
     good, openxr = np.isfinite(change).all(axis=(1, 2)), np.array([1.0, -1.0])
@@ -143,9 +143,9 @@ def _target_change(bench: CalibratedBench, factor: FloatArray, number: int) -> F
 
 
 def _effect(captures: DisplayCaptures | SeeThroughCaptures, common: CommonErrors) -> FloatArray:
-    """Change (2 rows, variables) in arcminutes of what some rows see less what they should, over root of their number.
+    """Return changes (2 rows, variables) of the residuals of sampled rows, arcminutes over the root of their number.
 
-    As if nothing but air were between the camera and the real points or images at `_IMAGES_M`.
+    The optics are neglected: the camera sees the real points, or images at the distances `_IMAGES_M`, through air.
     """
     rows = np.random.default_rng(0).permutation(len(captures))[:_ROWS]
     changes, tangents = common.changes(captures, rows), captures.tangents[rows]

@@ -1,8 +1,8 @@
 """Single faults among the views of a bench: a photograph at another place, a target or camera that moved meanwhile.
 
-Each candidate is a small motion (6,) of the board in some views. By how much it would raise the evidence follows from
-the adjusted bench without a new adjustment. The best one is granted, if chance does not explain it and if it matters:
-single photographs are left out, later views get a target or a mounting of their own, and the bench is adjusted again.
+Each candidate is a small motion (6,) of the board in some views. The increase of the evidence by a candidate follows
+from the adjusted bench without a new adjustment. The best candidate is accepted if it is significant and large enough:
+single photographs are left out, later views get a separate target or mounting, and the bench is adjusted again.
 """
 
 from collections.abc import Callable, Sequence
@@ -65,7 +65,7 @@ class Fault:
 
     @property
     def matters(self) -> bool:
-        """Whether the motion is large enough to be worth a word."""
+        """True if the rotation exceeds `NEGLIGIBLE_RAD` or the translation exceeds `NEGLIGIBLE_M`."""
         turn, shift = np.linalg.norm(self.motion[:3]), np.linalg.norm(self.motion[3:])
         return bool(turn > NEGLIGIBLE_RAD or shift > NEGLIGIBLE_M)
 
@@ -73,9 +73,9 @@ class Fault:
 def adjust_without_faults(
     observations: BenchObservations, adjusted: Callable[[BenchObservations], Adjustment]
 ) -> tuple[Adjustment, list[Fault]]:
-    """Adjust a bench, setting apart the views that single faults touch; returns the faults, too.
+    """Adjust a bench, isolating the views that single faults affect; return the adjustment and the faults.
 
-    Where no search settles, the first adjustment is returned without faults: their odds hold at a minimum only.
+    If neither the first nor the last adjustment settles, return the first without faults: odds hold only at a minimum.
     """
     found: list[Fault] = []
     adjustment = first = adjusted(observations)
@@ -203,7 +203,7 @@ def _candidates(state: BenchState) -> list[Fault]:
 
 
 def _set_apart(observations: BenchObservations, fault: Fault, number: int) -> BenchObservations:
-    """Return the observations with the views of a fault on a target, or in a mounting, of their own."""
+    """Return the observations with the views of a fault rejected, or assigned a separate target or mounting."""
     if fault.kind in SINGLE:
         return observations.without(fault.names)
     touched = [view for view in observations.views if view.name in fault.views]

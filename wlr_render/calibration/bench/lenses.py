@@ -22,8 +22,8 @@ from wlr_render.lenses.lens import Lens
 from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
-_KINDS = ("brown", "fisheye", "rational")  # in order of preference; thin prisms are tried where rational terms help
-_FEWER = {"rational": "brown", "thin-prism": "rational"}  # kinds whose terms begin with those of another one
+_KINDS = ("brown", "fisheye", "rational")  # lens kinds by preference; thin prisms are tried if rational terms help
+_FEWER = {"rational": "brown", "thin-prism": "rational"}  # the simpler kind whose terms each kind extends
 _FEWEST_VIEWS = 3  # views of a plane that determine a camera (Zhang, IEEE PAMI 22 (2000), 1330)
 _CHOICE_FEATURES, _CHOICE_VIEWS = 100, 20  # enough to choose the kind of lens by
 _ENOUGH = 350  # features of a view: more cost time and tell little
@@ -36,7 +36,7 @@ _BETTER_SIGMAS = 2.0  # standard errors by which more terms must predict held-ou
 
 
 class RefusedViewsError(BadInputError):
-    """Too little is left of the photographs, or what is left does not determine what it should.
+    """The remaining photographs are too few, or do not determine the unknowns.
 
     Attributes:
         rejected: name -> reason, of photographs that were left out before.
@@ -111,7 +111,7 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
 def _usual_scales(scale: FloatArray, sigma_m: FloatArray) -> FloatArray:
     """Return the scatter (n,) expected of each photograph, from all of them.
 
-    Errors of a printed board are lengths: they scatter the features of a near board more than those of a distant one.
+    Errors of a printed board are lengths: in pixels, they are larger on a near board than on a distant one.
 
     Args:
         scale: (n,) scatter found, over the stated sigma.
@@ -124,7 +124,7 @@ def _usual_scales(scale: FloatArray, sigma_m: FloatArray) -> FloatArray:
 
 
 def _thinned(views: Sequence[BoardView], features: int) -> list[BoardView]:
-    """About so many features of each view, the same of the board in all: their errors show in several views then."""
+    """Thin each view to about `features` features, the same in all views: several views then show each one's error."""
     every = max(1, round(float(np.median([len(view) for view in views])) / features)) if views else 1
     return [view.only((view.feature @ [1, 2]) % every == 0) for view in views]
 
@@ -136,7 +136,7 @@ def _too_few(view: BoardView) -> str:
 
 
 def _misread(views: Sequence[BoardView]) -> dict[str, str]:
-    """Photographs whose features lie nowhere near a plane's image; a lens bends that of all of them alike."""
+    """Return reasons to reject views that miss a plane's image far more than the median; a lens distorts all views."""
     misses = np.array([_plane_residual_px(view) for view in views])
     limit = _LENS_BENDS_PX + _MISREAD * float(np.median(misses)) if views else 0.0
     return {
@@ -147,7 +147,7 @@ def _misread(views: Sequence[BoardView]) -> dict[str, str]:
 
 
 def _plane_residual_px(view: BoardView) -> float:
-    """Rms distance of features from the best image of a plane by a lens without distortion; NaN where there is none."""
+    """Return the rms distance, px, of features from the best homography of the board plane; NaN if no fit exists."""
     plane = view.point[:, :2]
     seen = by_homography(plane, view.pixel, plane)
     return np.nan if seen is None else float(np.sqrt(np.mean((seen - view.pixel) ** 2)))
@@ -166,7 +166,7 @@ def free_views(
         views: of one camera.
         setup: of it.
         kind: of the lens.
-        observations: what is known of the boards.
+        observations: source of the board tolerances.
         first: lens to start from, of this kind or one with its first terms; None to find one.
 
     Raises:

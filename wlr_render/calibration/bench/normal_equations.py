@@ -185,7 +185,7 @@ class Normal:
             self.features[name] = np.asarray(inverse), mean, cross[name]
 
     def sums(self, layout: Layout) -> Sums:
-        """For the evidence, in units of the prior sizes that have no hyperparameter."""
+        """Return the sums for the evidence, in units of the prior sizes without their hyperparameters."""
         sums = Sums(0, 1, len(layout.size))
         sums.count, sums.square, sums.log_weight = self.count, self.square, self.log_weight
         sums.side_gram = layout.size[:, None] * self.gram * layout.size
@@ -201,6 +201,6 @@ class Normal:
         }
 
     def determined_features(self, name: str, size: float) -> float:
-        """How many of the coordinates of a board's features the views determine, at their prior size."""
+        """Return the effective number of a board's feature coordinates that the views determine, given a prior size."""
         inverse = self.features[name][0]
         return 3.0 * len(inverse) - float(np.trace(inverse, axis1=1, axis2=2).sum()) / size**2

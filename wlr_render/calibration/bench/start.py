@@ -64,7 +64,7 @@ def start_lens(views: Sequence[BoardView], size_px: tuple[int, int], kind: str) 
 
 
 def _brown_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensCamera:
-    """By OpenCV (Z. Zhang, PAMI 22 (2000) 1330)."""
+    """Calibrate a rough Brown lens with OpenCV (Z. Zhang, PAMI 22 (2000) 1330)."""
     flat = [(view.point * [1.0, 1.0, 0.0]).astype(np.float32) for view in views]
     seen = [(view.pixel + OPENCV_PIXEL_SHIFT).astype(np.float32) for view in views]
     held = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
@@ -169,15 +169,15 @@ def _refined(lens: Lens, pose: FloatArray, view: BoardView, steps: int = _STEPS)
 
 
 def start_state(observations: BenchObservations, lens: Mapping[str, Lens], rough: bool = False) -> BenchState:
-    """Return starting values for everything, by the lenses.
+    """Return starting values of all unknowns, computed with the given lenses.
 
     Args:
-        observations: views, and what is known beforehand.
+        observations: views, and prior knowledge of the bench.
         lens: by camera.
         rough: True for boards without smooth fields and views without stretches, to choose lenses by.
 
     Raises:
-        BadInputError: the views do not determine the bench; the sentence says what is missing.
+        BadInputError: the views do not determine the bench; the message names the missing data.
     """
     seen = {view.name: board_pose(lens[view.camera], view)[0] for view in observations.views}
     held = [view for view in observations.views if view.target is None]
@@ -296,7 +296,7 @@ def _start_twists(
 
 
 class _Chain:
-    """Poses found so far, from those that are known to those that meet them in a view."""
+    """Poses found so far; each view links a known pose to an unknown one."""
 
     def __init__(self, observations: BenchObservations, tracking: FloatArray | None, twists: FloatArray) -> None:
         self._observations, self._tracking, self.twists = observations, tracking, twists
@@ -351,7 +351,7 @@ class _Chain:
             if self._first not in self.base:
                 return False
             first = self.base[self._first]
-            stage = first @ stage @ transforms.inverse(first)  # as the device sees the motion of the carriage
+            stage = first @ stage @ transforms.inverse(first)  # motion of the carriage in the device frame
         if known is not None:
             device_from_camera = known
             if stage is not None:

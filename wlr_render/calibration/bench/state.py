@@ -1,12 +1,12 @@
-"""Values of all unknowns of a bench, what each view sees by them, and the derivatives.
+"""Values of all unknowns of a bench, the predicted image of each view, and its derivatives.
 
 The eyeball camera at a place: device_from_camera = base @ stage(reading) @ motion(offset) @ mount. `base` is its pose
-at the middle of the readings in its first mounting, and `mount` how another mounting holds it beside that one. `stage`
-carries it along its axes, a product of exponentials in the order of the axes (F. C. Park, "Computational aspects of the
-product-of-exponentials formula", IEEE Trans. Automatic Control 39 (1994) 643). `offset` is the stage's error: a smooth
-function of each axis' reading (pitch, yaw, roll and straightness, Legendre polynomials), an error of each axis at each
-of its readings (the screw), and random in every visit. Where times are known, the image of a camera that warms up is
-shifted smoothly in time, nearly as by a turn of the camera.
+at the middle of the readings in its first mounting, and `mount` the pose of another mounting relative to it. `stage`
+moves the camera along its axes, a product of exponentials in the order of the axes (F. C. Park, "Computational aspects
+of the product-of-exponentials formula", IEEE Trans. Automatic Control 39 (1994) 643). `offset` is the stage's error: a
+smooth function of each axis' reading (pitch, yaw, roll and straightness, Legendre polynomials), an error of each axis
+at each of its readings (the screw), and random in every visit. Where times are known, the image of a camera that warms
+up is shifted smoothly in time, nearly as by a turn of the camera.
 """
 
 from collections.abc import Iterable, Mapping
@@ -35,7 +35,7 @@ _TERMS = 12  # terms of the Jacobian's series: rounding error up to a radian
 
 @dataclass(frozen=True, eq=False)
 class StageModel:
-    """How a stage carries the camera, in the camera's frame.
+    """Camera motion as a function of the stage readings, camera frame.
 
     Attributes:
         middle, half_range: (m,) of the readings.
@@ -91,7 +91,7 @@ class BenchState:
     Axes and errors of the stage are in the camera's frame of the mounting of the lowest number.
 
     Attributes:
-        observations: what they explain.
+        observations: views and prior knowledge to which the values are fitted.
         boards: features and fields of each board, without errors.
         blocks: by key.
     """
@@ -144,7 +144,7 @@ class BenchState:
 
     @cached_property
     def stage(self) -> StageModel:
-        """How the stage carries the camera."""
+        """Camera motion as a function of the stage readings."""
         middle, half_range = self.observations.travel
         smooth = np.array(list(self.of("smooth").values())).reshape(-1, 6)
         return StageModel(middle, half_range, self.twists, smooth)
@@ -286,7 +286,7 @@ class BenchState:
         )
 
     def _off_stated(self, number: int) -> FloatArray:
-        """(6,) difference of an axis' twist from what is stated of it."""
+        """(6,) difference of an axis' twist from the stated twist; zero in the parts that are not stated."""
         axis, off = self.observations.axes[number], np.zeros(6)
         if axis.direction is None:
             return off

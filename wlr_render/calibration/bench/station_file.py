@@ -72,7 +72,7 @@ def read_station(path: str | Path) -> Table:
     """Return the content of station-EYE.json, of this version or of version 1.
 
     Raises:
-        BadInputError: there is none, or it is of another kind.
+        BadInputError: the file is missing, or its format, version, frame or units are wrong.
     """
     table = read_json(path, "a station file", "`calibrate` writes it, of photographs")
     table.text("format", choices=[FORMAT])
@@ -132,7 +132,7 @@ def read_lens(table: Table) -> Lens:
     """Return the lens of a camera of a station file.
 
     Raises:
-        BadInputError: it is none that a camera has.
+        BadInputError: the table does not describe a valid lens.
     """
     size = table.vector("size_px", 2)
     width, height = (int(side) for side in size)

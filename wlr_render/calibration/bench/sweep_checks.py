@@ -23,7 +23,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 NEGLIGIBLE_ARCMIN = NEGLIGIBLE_RAD / ARCMIN
 _CERTAIN = 3.0  # sigmas by which a displacement must exceed what can be neglected: chance does in one of 700
-_FOLLOWS = 0.5  # motion of a view over what the target's would make: 1 if it followed, 0 if not, and this between
+_FOLLOWS = 0.5  # threshold of observed over predicted displacement: 1 if a view follows the target's motion, 0 if not
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class RepeatedView:
     Attributes:
         target: number of the target pose.
         device_from_camera: (4, 4) of the eyeball camera.
-        first, last: dots of the two; those that are in both are compared.
+        first, last: dots of the two photographs; dots in both are compared.
         last_from_first: (3, 3) known rotation of the camera between the two photographs, by its warm-up.
         motion: (6, 6) covariance of the camera's motion between the photographs beyond `last_from_first`, camera frame:
             rotation (rad), translation (m).
@@ -69,7 +69,7 @@ class TargetChange:
 
     @classmethod
     def of(cls, adjustment: Adjustment, target: int, fault: Fault | None, names: Sequence[str]) -> "TargetChange":
-        """Return the change at a target pose by the fault that the adjustment set apart; none without one."""
+        """Return the change at a target pose by the fault that the adjustment found; no change without a fault."""
         before = adjustment.state.targets[target]
         moved = [k for k in adjustment.state.targets if k % APART == target and k >= APART]
         if fault is None or not moved:
@@ -90,7 +90,7 @@ class TargetChange:
 
     @property
     def is_significant(self) -> bool:
-        """Whether anything moved."""
+        """True if the target moved."""
         return self.sigmas > 0.0
 
     def __str__(self) -> str:
@@ -123,7 +123,7 @@ class _ViewChange:
         sigma_arcmin: its standard deviation, from noise and the expected motion of the stage.
         is_significant: whether it is certainly more than can be neglected.
         foreseen_arcmin: rms that the target's motion by the tracking camera would have made.
-        follows: how much of that motion is in what is seen, 1 if all.
+        follows: fraction of that motion in the measured displacement, 1 for all of it.
     """
 
     names: tuple[str, str]
@@ -196,7 +196,7 @@ def _view_change(
     point, displaced, sigma_px, per_px = _common(view, camera)
     size, noise = _affine_part(point, displaced * per_px, sigma_px * per_px)
     sigma = float(np.hypot(noise, _expected_arcmin(view, point)))
-    # No stage that can be used moves by what is refused, however badly the photographs say it repeats.
+    # A displacement beyond the refusal limit is significant even if the stage's estimated repeatability is poor.
     certain = size > min(NEGLIGIBLE_ARCMIN + _CERTAIN * sigma, REFUSED_ARCMIN + _CERTAIN * noise)
     change = _ViewChange((view.first.name, view.last.name), size, sigma, certain)
     if tracked is None or len(point) == 0:
