@@ -28,16 +28,16 @@ from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray
 
 _NAMED = 3  # excluded photographs that an error message names
-_CLEAR = 0.5  # cosine of the angle between two directions of the columns from which they count as alike: 60 degrees
+_CLEAR = 0.5  # least cosine of the angle between two column directions that count as the same direction: 60 degrees
 
 
 @dataclass(frozen=True, eq=False)
 class EyeCalibration:
-    """What a session gives for one eye.
+    """Calibration of one eye from a session.
 
     Attributes:
         session: the session of this eye.
-        captures: what the fit takes.
+        captures: the captures that the models are fitted to.
         kinds: the models, of one kind or of several that were compared.
         excluded: photographs that contradict the others, and why.
         primaries: where the panel was photographed in several colours, the models of the others, by colour: each is of
@@ -52,7 +52,7 @@ class EyeCalibration:
 
     @property
     def eye(self) -> str:
-        """Which eye."""
+        """Name of the eye."""
         return self.session.eye
 
     @property
@@ -63,11 +63,11 @@ class EyeCalibration:
 
 @dataclass(frozen=True, eq=False)
 class SessionCalibration:
-    """Everything that a session of photographs gives.
+    """Results of a session of photographs: the bench and the models of its eyes.
 
     Attributes:
-        session: what was photographed.
-        reading: what the photographs say, and which could not be read.
+        session: the photographed session.
+        reading: features and codes read from the photographs, and the photographs that could not be read.
         bench: cameras, board, target poses and stage in the device frame.
         eyes: by name.
     """
@@ -79,7 +79,7 @@ class SessionCalibration:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Names of what is not as session.toml says; the results were made without it."""
+        """Names of the excluded photographs and code sets that contradict session.toml."""
         return tuple(each.name for each in self.all_excluded if each.fault)
 
     @property
@@ -93,7 +93,7 @@ class RefusedCalibrationError(BadInputError):
     """A session from which too little could be read, or whose steps contradict each other.
 
     Attributes:
-        reading: what the photographs say; excluded in it is what `found` does not hold.
+        reading: see `SessionCalibration`; its `excluded` lists the exclusions that `found` does not contain.
         found: the bench and the eyes that were finished; None where the bench could not be adjusted.
     """
 
@@ -112,8 +112,8 @@ def calibrate_session(
     """Calibrate the bench, and fit models to the captures of each eye.
 
     Args:
-        session: what was photographed.
-        reading: what the photographs say.
+        session: the photographed session.
+        reading: features and codes read from the photographs.
         folder: for station-EYE.json and captures-EYE.npz, which are written as soon as they are known.
         fit: fits the models.
 
@@ -145,7 +145,7 @@ def calibrate_session(
 def _refusals(
     reading: Reading, found: SessionCalibration | None = None, moved: Sequence[Excluded] = ()
 ) -> Iterator[None]:
-    """Say with a refusal how far the calibration came, and what was excluded before.
+    """Convert an error to a RefusedCalibrationError with the results and the exclusions so far.
 
     Args:
         reading, found: see `RefusedCalibrationError`.
@@ -165,7 +165,7 @@ def _refusals(
 
 
 def _excluded_before(excluded: Sequence[Excluded]) -> str:
-    """Say what was excluded, the worst first: it is the likely cause of what is missing now."""
+    """Return a sentence that lists the exclusions, worst first: they are the likely cause of the error."""
     if not excluded:
         return ""
     reasons = [f"{each.name}: {each.reason}" for each in excluded[:_NAMED]]
@@ -192,7 +192,7 @@ def _fitted(
 def with_half_turns(session: PhotoSession, reading: Reading) -> Reading:
     """Return the reading with the features of all photographs of a target pose numbered from the same end.
 
-    Photographs for a camera's lens need no such choice: each has a pose of its own.
+    Photographs for a camera's lens need no such choice, because the pose of each is fitted separately.
 
     Raises:
         BadInputError: a photograph shows the board rolled by 60 to 120 degrees from the others, or from the given pose.
@@ -232,7 +232,7 @@ def _photographs(session: PhotoSession) -> Iterator[tuple[BoardPhotograph, Float
 def _expected(session: PhotoSession, target: int, first: FloatArray) -> FloatArray:
     """(2,) unit vector, device frame, along the board's columns at a target pose.
 
-    Where the pose is not given, the turn of the target is free, and is that of its first photograph.
+    Where the pose is not given, the target's rotation is free, and its first photograph defines the direction.
     """
     given = session.targets.get(target)
     if given is not None:

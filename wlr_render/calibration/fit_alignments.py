@@ -6,9 +6,9 @@ At the wearer's eye e a pixel (u, v) covers the point P:
 
 a, a polynomial of order 5, is the direction of the pixel, e is known to the eye box, and b is the constant error of the
 hand. SPAAM (Tuceryan, Genc and Navab, Presence 11, 2002, 259-276) has eleven numbers for a flat screen and an eye, and
-fewer than six alignments do not determine them. Here priors of ordinary headsets hold what the alignments do not
-determine, and the covariance states it. Errors of successive alignments are correlated, because a head sways slowly.
-Their size and correlation, and the size of the distortion, are averaged over by their evidence, not chosen.
+fewer than six alignments do not determine them. Here priors of ordinary headsets constrain the unknowns, and the
+covariance includes their uncertainty. Errors of successive alignments are correlated, because a head sways slowly.
+The fit averages over the size and correlation of these errors and the size of the distortion, weighted by evidence.
 """
 
 from collections.abc import Iterator
@@ -60,10 +60,10 @@ class AlignmentFit:
     Attributes:
         device: name of the headset.
         mappings: the fitted eye; its eye box is about the place of the wearer's eye as found.
-        eye_m, eye_sigma_m: (3,) this place and its sigma, device frame; optics that shift what lies behind them, as a
+        eye_m, eye_sigma_m: (3,) this place and its sigma, device frame; optics that shift the image of the world, as a
             plate does, shift it.
         hand_arcmin: random error of an alignment per axis, as found.
-        residual_arcmin: (n,) length of what the fit leaves of each alignment.
+        residual_arcmin: (n,) length of each alignment's residual.
         doubtful: numbers of alignments, from 1, that the others do not predict.
     """
 
@@ -78,7 +78,7 @@ class AlignmentFit:
     @property
     def display(self) -> FittedDisplay:
         """Directions of the pixels at the wearer's eye."""
-        display: Any = self.mappings.display  # of `_eye`
+        display: Any = self.mappings.display  # a PointPerPixelDisplay, from `_eye`
         return cast(FittedDisplay, display)
 
     @property
@@ -219,7 +219,7 @@ def _fits(
     count = len(values) // 2
     for alike in _ALIKE:
         whiten = np.linalg.inv(np.linalg.cholesky(_noise(found, alike)))
-        log_det = 2.0 * float(np.sum(np.log(np.diag(whiten))))  # of both axes
+        log_det = 2.0 * float(np.sum(np.log(np.diag(whiten))))  # log determinant for both axes together
         for hand_arcmin, bent in product(_HANDS_ARCMIN, _BENT_FACTORS):
             hand = float(hand_arcmin * ARCMIN)
             prior, sigma = _prior(found, orders, bent, hand)
@@ -240,8 +240,8 @@ def _doubtful(
 ) -> tuple[int, ...]:
     """Return the alignments that a fit to the others misses, from 1.
 
-    Of the few with the largest residuals (n,) the one that the others miss by most is left out before the next is
-    judged: it bends the fit, and others would seem wrong beside it.
+    Among the few with the largest residuals (n,), the alignment that the others predict worst is left out before the
+    next is judged: while it stays in the fit, it biases the fit and makes good alignments look wrong.
     """
     doubtful: list[int] = []
     count = len(found.pixel)

@@ -46,7 +46,7 @@ class Calibration:
     Attributes:
         mappings: the fitted eye, for `render`, `world_rays`, `compare` and `ErrorMap`.
         device: name of the device.
-        display, see_through: the fits; None of what was not photographed.
+        display, see_through: the fits; None for a side without captures.
         log_evidence: natural logarithm of the probability density of all readings of both.
         assembly: the prescription with the assembly errors that both models found; None without one.
     """
@@ -96,7 +96,7 @@ class Calibration:
         return save_eye_models(path, [self.model()])
 
     def model(self) -> EyeModel:
-        """As `models.model_file.save_eye_models` takes it."""
+        """Return the model as `models.model_file.save_eye_models` takes it."""
         report = {name.replace("-", "_"): asdict(side.report) for name, side in self.sides.items()}
         if self.assembly is not None:
             report["prescription"] = prescription_report(self.assembly, self.device, self.mappings.eye)
@@ -126,7 +126,7 @@ class KindComparison:
 
     @property
     def sentence(self) -> str:
-        """What the prescription gained; empty for a single kind."""
+        """Summary of the improvement by the prescription; empty for a single kind."""
         if len(self.fits) == 1:
             return ""
         planar, best = self.fits["planar"].both[0], self.chosen.both[0]
@@ -153,8 +153,8 @@ def calibrate(
 ) -> Calibration:
     """Fit the display and see-through models of one eye to captures, by maximum evidence.
 
-    The fit finds the noise, the repeatability of the stage and the orders of the models by itself, excludes outliers,
-    and predicts its own error.
+    The fit estimates the noise, the repeatability of the stage and the orders of the models, excludes outliers, and
+    predicts its own error.
 
     Args:
         captures: from `load_captures` or `simulate`: of the display, the world, or both.
@@ -188,8 +188,8 @@ def calibrate(
             captures.see_through, _SEE_THROUGH_KIND.get(kind, kind), see_through_degree, base_plane
         )
     if captures.display is not None:
-        # The world bends little from place to place: its captures tell their motions from the optics where the
-        # display's cannot.
+        # The see-through deviation varies little with the viewpoint: see-through captures separate camera motions from
+        # optics where display captures cannot.
         stage = None if seen is None else seen.smooth.stage
         shown = display_fit.fit_display(captures.display, kind, display_degree, base_plane, stage=stage)
     return _eye_fit(captures, shown, seen, sum(_log_evidence(each) for each in (shown, seen) if each is not None))
@@ -204,7 +204,7 @@ def fit_kinds(
 ) -> KindComparison:
     """Fit a planar model, a grey box and the prescription with its assembly errors, and compare their evidence.
 
-    Outliers are those of the planar fit, which needs no prescription: evidence compares models of the same readings.
+    All fits use the planar fit's outlier weights, because evidence compares only models of the same readings.
 
     Raises:
         BadInputError: as `calibrate`.
@@ -239,7 +239,7 @@ class EyeTrends:
 
 
 def eye_trends(captures: Captures, assembly: FittedAssembly, base_plane: BasePlane | None = None) -> EyeTrends:
-    """Compile the fitted prescription over what the captures cover.
+    """Compile the fitted prescription over the range of the captures' inputs.
 
     Raises:
         BadInputError: captures of one side are missing, or hardly any ray passes the optics.
@@ -264,10 +264,10 @@ def fit_with_trends(
     degrees: tuple[int | None, int | None] = (None, None),
     weights: tuple[FloatArray | None, FloatArray | None] = (None, None),
 ) -> Calibration:
-    """Fit a grey box or a prescription to both sides, then each with what the other says of the assembly as prior.
+    """Fit a grey box or a prescription to both sides, then update each with the other's assembly posterior.
 
-    Both models then have the same posterior of the assembly errors. The evidence of all readings is that of the display
-    and that of see-through after it.
+    Both models then have the same posterior of the assembly errors. The log evidence of all readings is the sum
+    over the display fit before its update and the see-through fit after it.
 
     Args:
         captures: of both.

@@ -1,8 +1,8 @@
 """Fit a prescription's assembly errors to captures, and compile the fitted optics into the trend of a model.
 
-The only module of calibration that imports the optics. The prescription is an input that the user names, as a drawing
-of the headset: never the exact device, whose parts stand elsewhere and whose surfaces differ. What the fitted
-prescription does not explain is left to the fit of the model.
+The only module of calibration that imports the optics. The prescription is a user input, the nominal design of the
+headset: the parts of the real device are displaced, and its surfaces differ. The model fit takes up the residuals of
+the fitted prescription.
 """
 
 from collections.abc import Callable
@@ -74,8 +74,8 @@ class FittedAssembly:
 def fit_assembly(captures: Captures, optics: EyeOptics) -> FittedAssembly:
     """Fit the twelve assembly errors of a prescription, in green light, to display and see-through captures together.
 
-    Nonlinear least squares, robust in the angles; each error has a Gaussian prior of its plausible size. The size of
-    the residuals is estimated, for display and see-through apart: it also contains what assembly errors cannot explain.
+    Nonlinear least squares, robust in the angles; each error has a Gaussian prior of its plausible size. The residual
+    size is estimated separately for display and see-through; it includes model errors of the prescription.
 
     A wrong shape can look like large assembly errors, which then serve the models but mean nothing themselves.
 
@@ -127,8 +127,8 @@ def _loss(square: FloatArray) -> FloatArray:
 def display_trend(assembly: FittedAssembly, plane: BasePlane, box: Box) -> Trend:
     """Compile the fitted prescription's display: (u px, v px, x m, y m) -> (tx, ty).
 
-    The trend's parameters are the assembly errors in their plausible sizes, zero in the prescription as drawn, so that
-    the evidence of the readings counts what the errors have to be. It is linear about the fitted errors.
+    The trend's parameters are the assembly errors in units of their plausible sizes, zero for the nominal prescription,
+    so that the evidence penalises large assembly errors. The trend is linearised about the fitted errors.
 
     Args:
         assembly: the fit.
@@ -174,9 +174,9 @@ def _trend(assembly: FittedAssembly, compiled: CompiledMap) -> Trend:
 
 
 def _display_residual(captures: DisplayCaptures, optics: EyeOptics) -> _Residual:
-    """Return the function of optics that gives angles (2 n,) in radians from measured pixels to those of the rays.
+    """Return a function (optics) -> angles (2 n,) in radians from the measured pixels to the traced pixels.
 
-    NaN without a ray. Angles are by the prescription `optics`.
+    NaN where no ray passes. The prescription `optics` converts pixels to angles.
     """
     steps = _TANGENT_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])[:, None]
     directions = dir_of_tangents(captures.tangents + steps)
@@ -226,7 +226,7 @@ def _check_reached(residual: FloatArray, device: str) -> None:
 
 
 def _stated_sigma(captures: Captures) -> float:
-    """Of the readings, arcminutes: the larger median of both parts; 0 where they are exact."""
+    """Return the stated sigma of the readings, arcminutes: the larger median of both parts; 0 for exact data."""
     parts = (part for part in (captures.display, captures.see_through) if part is not None)
     return max(float(np.median(part.sigma_arcmin)) for part in parts)
 

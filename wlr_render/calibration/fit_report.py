@@ -37,7 +37,7 @@ class Residuals:
 
     @classmethod
     def of(cls, size: FloatArray) -> "Residuals":
-        """Of residual lengths (n,); elements without a value (NaN) do not count.
+        """Summarise residual lengths (n,); NaN elements do not count.
 
         Raises:
             BadInputError: none has a value.
@@ -53,9 +53,9 @@ class HeldOut:
     """Camera positions that were left out and predicted by a fit to the others.
 
     Attributes:
-        left_out: which, e.g. "row 2 of 5".
-        captures: how many.
-        rms_arcmin: of the errors there. expected_arcmin: what the fit expects, noise and motions included.
+        left_out: name of the positions, e.g. "row 2 of 5".
+        captures: number of captures left out.
+        rms_arcmin: rms prediction error. expected_arcmin: rms that the fit expects, noise and motions included.
     """
 
     left_out: str
@@ -66,10 +66,10 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class OneMore:
-    """What one more row or column of camera positions would bring.
+    """Predicted error of the model with one more row or column of camera positions.
 
     Attributes:
-        positions: which, e.g. "a row of 5 camera positions at y = +4 mm".
+        positions: description, e.g. "a row of 5 camera positions at y = +4 mm".
         predicted_arcmin: rms error of the model with them, as `FitReport.predicted_arcmin`.
     """
 
@@ -79,7 +79,7 @@ class OneMore:
 
 @dataclass(frozen=True)
 class ErrorShare:
-    """What one source contributes to the predicted error of a model.
+    """Contribution of one source to the predicted error of a model.
 
     Attributes:
         source: e.g. "printing errors of the board".
@@ -111,17 +111,17 @@ class FitReport:
         residual_px: of the pixels, predicted from view direction and viewpoint; None for see-through.
         contraction: of the model's solve over the eye box; below 1 the solve has one solution (`models.contraction`).
         noise_arcmin: found, per axis. stated_noise_arcmin: median of the captures' sigma; None for exact data.
-        repeatability_um, wobble_urad: found standard deviations, rms per axis, of what the readings of a capture share:
-            a shift and a turn of the camera.
+        repeatability_um, wobble_urad: estimated standard deviations, rms per axis, of the camera's shift and rotation
+            from capture to capture.
         moved: captures that stood elsewhere than stated, by far more than the others.
         log_evidence: natural logarithm; of models of the same captures, the one with the largest is most probable.
         predicted_arcmin: rms error that the fit expects of itself over the eye box, labels that stand out included.
         held_out: rows and columns of camera positions predicted from the others.
         one_more: None where the kind has no places.
-        motion_agreement: what the captures state of these motions; None where they state nothing.
+        motion_agreement: comparison with the camera motions that the captures state; None where they state none.
         labels: errors that the readings of a dot, visit, time and so on share beyond the fit; empty for exact data.
         shares: contributions to `predicted_arcmin`, the largest first.
-        unseen: errors that are not in it, because the captures lack what shows them.
+        unseen: errors that `predicted_arcmin` omits, because the captures lack the data to estimate them.
     """
 
     kind: str
@@ -151,7 +151,7 @@ class FitReport:
 
     @property
     def held_out_arcmin(self) -> tuple[float, float] | None:
-        """Rms over all held-out rows and columns, and what the fits expected; None where nothing was held out."""
+        """Rms error over all held-out rows and columns, and the expected rms; None where nothing was held out."""
         if not self.held_out:
             return None
         captures = np.array([each.captures for each in self.held_out], dtype=np.float64)
@@ -164,12 +164,12 @@ class FitReport:
 
 @dataclass(frozen=True)
 class ModelFit(Generic[AnyModel]):
-    """A fitted model with everything that was found on the way.
+    """A fitted model with the details of its fit.
 
     Attributes:
         kind: see `FitReport`.
         mapping: the model, with its covariance.
-        captures: what it was fitted to.
+        captures: the captures that it was fitted to.
         smooth: the fit of its polynomial.
         readings_of: (captures) -> readings, with which it was made.
         orders: limits of the orders in words.
@@ -231,22 +231,22 @@ class ModelFit(Generic[AnyModel]):
 
     @property
     def sources_by_label(self) -> tuple[str, ...]:
-        """Sources of all errors by label in the covariance, those that `with_label_errors` adds last."""
+        """Sources of all errors by label in the covariance; the sources that `with_label_errors` adds come last."""
         return label_response(self.smooth.readings, self.smooth.posterior).sources + self._by_label[1].sources
 
     def with_label_errors(self, before: tuple[str, ...] = (), after: tuple[str, ...] = ()) -> Self:
         """Return the fit whose covariance has the errors that the readings of a label share, see `label_errors`.
 
         Args:
-            before, after: sources of errors of the eye's other model, which change nothing here; their variables come
-                before and after those of this one, so that both models have the same.
+            before, after: error sources of the eye's other model, without effect on this one; their variables come
+                before and after this model's variables, so that both models have the same variables.
         """
         labels, response = self._by_label
         smooth = replace(self.smooth, of_labels=response, others=(before, after))
         return replace(self, smooth=smooth, mapping=self.mapping.with_spread(smooth.spread), labels=labels)
 
     def predicted_arcmin(self, model: AnyModel) -> float:
-        """Rms of the standard error of a model like this one over its eye box, at what the captures saw."""
+        """Return the rms standard error of a model over its eye box, at the pixels or points of these captures."""
         return float(np.sqrt(np.nanmean(model.sigma(*self.tested(model)) ** 2)))
 
     def tested(self, model: AnyModel) -> tuple[FloatArray, FloatArray]:
@@ -304,7 +304,7 @@ class ModelFit(Generic[AnyModel]):
         return found
 
     def _one_more(self) -> OneMore | None:
-        """Of a row and a column where the model is least sure, the one that helps more."""
+        """Return the row or column, each placed where the model is least certain, that reduces the error more."""
         if not self._has_places:
             return None
         _, first = np.unique(self.captures.capture, return_index=True)
@@ -354,7 +354,7 @@ class ModelFit(Generic[AnyModel]):
         return changed
 
     def _with_positions(self, viewpoint: FloatArray) -> DisplayCaptures | SeeThroughCaptures:
-        """Return the captures and further ones from viewpoints (m, 3), each of which sees what the nearest one saw."""
+        """Return the captures plus new ones at viewpoints (m, 3), each with the pixels or points of the nearest one."""
         captures: Any = self.captures  # captures of either kind, which they keep
         names, first = np.unique(captures.capture, return_index=True)
         apart = np.linalg.norm(captures.viewpoint[first] - viewpoint[:, None], axis=2)

@@ -83,7 +83,7 @@ def _readings(
     places = place.shape[1]
 
     def by_point(rows: slice) -> FloatArray:
-        """Of (P - p~) / Z - t; that B / Z follows the depth as well is of second order."""
+        """Return the derivative of (P - p~) / Z - t by the point; the change of B / Z with depth is of second order."""
         return _by_point(straight[rows]) / depth[rows, :, None]
 
     visits, capture = captures.visits
