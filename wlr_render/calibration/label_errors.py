@@ -1,8 +1,8 @@
-"""Errors by label: what readings of one dot, visit or time share beyond what a fit and its noise explain.
+"""Errors by label: errors that readings of one dot, visit or time share, beyond the fit and its noise.
 
 A fit predicts its own error from the noise and the errors that it models. Means of its residuals by every label of the
-captures are a check that can fail. Each label stands for a random function: errors of its groups, normal, with one size
-s for all, independent or with a correlation C that falls with the distance of two groups, over one of a few lengths.
+captures are a check that can fail. The errors of a label's groups are modelled as a normal random function of one size
+s, independent or with a correlation C that falls with the distance of two groups, over one of a few lengths.
 With the covariance K of the readings y, all unknowns of the fit integrated over, and the columns Z of the label,
 u = Z' K^-1 y has the covariance A = Z' K^-1 Z if the label has no errors, and the evidence for such errors is
 
@@ -69,7 +69,7 @@ class LabelError:
         label: e.g. "dot" or "time".
         groups: number of them.
         ratio: mean square of the groups' weighted residual means over the one that fit and noise explain.
-        log10_odds: for such errors, beside those of labels with larger odds; charged for the number of labels.
+        log10_odds: for such errors, given the errors of labels with larger odds; corrected for the number of labels.
         size_arcmin: most probable rms length of the errors; 0 where they are not more probable than none.
         in_model_arcmin: rms error of the model at the readings that errors of this size cause.
         own_arcmin: rms error of the model at the readings that the fit expects without them and without common errors.
@@ -85,22 +85,22 @@ class LabelError:
 
     @property
     def stands_out(self) -> bool:
-        """Whether the captures have such errors."""
+        """True if the captures have such errors."""
         return self.log10_odds > STANDS_OUT
 
     @property
     def matters(self) -> bool:
-        """Whether the captures have such errors, and the model is less certain for them."""
+        """True if the captures have such errors and they increase the model's error noticeably."""
         return self.stands_out and self.in_model_arcmin > MATTERS * self.own_arcmin
 
     @property
     def source(self) -> str:
-        """What such errors are of, as an error budget names it."""
+        """Source of these errors, as an error budget names it."""
         return self._said[0]
 
     @property
     def remedy(self) -> str:
-        """What avoids such errors, a sentence."""
+        """Sentence that tells the user how to avoid these errors."""
         return self._said[1]
 
     @property
@@ -114,7 +114,7 @@ class _Label:
 
     Attributes:
         group: (n,) of each reading, -1 for none. columns: (n, 2, k) changes by the errors of its group.
-        place: (n, d) of each reading, in extents: errors of near groups may be alike; None for independent errors.
+        place: (n, d) of each reading, in extents: errors of near groups may correlate; None for independent errors.
     """
 
     name: str
@@ -168,7 +168,7 @@ class _Statistics:
     of_side: FloatArray
 
     def absorbed(self, part: slice, root: FloatArray) -> "_Statistics":
-        """Return those of a fit with further unknowns: errors of one label, with the covariance root root'."""
+        """Return the statistics of a fit that also has one label's errors as unknowns, of covariance root root'."""
         by_error = self.information[:, part] @ root
         gain = np.linalg.solve(np.eye(root.shape[1]) + root.T @ by_error[part], by_error.T).T
         score = self.score - gain @ (root.T @ self.score[part])
@@ -178,10 +178,10 @@ class _Statistics:
 def label_errors(
     smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures
 ) -> tuple[tuple[LabelError, ...], Response]:
-    """Return the errors of all labels of the captures of a fit, and how it follows those that stand out.
+    """Return the errors of all labels of a fit's captures, and the fit's response to the significant ones.
 
-    Those that stand out come first, each judged with the ones before it as part of the model; the others with all.
-    Exact data have none.
+    Significant errors come first, each tested with the ones before it in the model; the others are tested with all of
+    these in the model. Exact data have none.
     """
     readings, parameters = smooth.readings, smooth.readings.parameters
     response = Response((), np.zeros((0, 2, readings.coefficients)), np.zeros((0, parameters)))
@@ -281,7 +281,7 @@ def _bins(value: FloatArray, count: int) -> IntArray:
 
 
 def _cells(place: FloatArray, count: int) -> IntArray:
-    """Cell (n,) of places (n, 2), -1 where unknown; a dot of a coarse board is a cell of its own."""
+    """Cell (n,) of places (n, 2), -1 where unknown; each dot of a coarse board has a separate cell."""
     columns, rows = (_bins(axis, count) for axis in place.T)
     return _numbered(np.where((columns < 0) | (rows < 0), -1, columns + count * rows))
 
@@ -357,7 +357,7 @@ def _judged(label: _Label, part: slice, found: _Statistics, noise: float) -> tup
     determined = values >= max(_DETERMINED * float(values[-1]), 1e-9)
     vectors, values = vectors[:, determined], values[determined]
     score = vectors.T @ scipy.linalg.solve_triangular(lower, found.score[part], lower=True)
-    scaled = np.sqrt(values)[:, None] * (vectors.T @ lower.T)  # of the errors, to contrasts with a variance of 1
+    scaled = np.sqrt(values)[:, None] * (vectors.T @ lower.T)  # map of the errors to contrasts with a variance of 1
     square, likely = (noise * _SIZES) ** 2, -0.5 * (np.log10(_SIZES / _USUAL) / _DECADES) ** 2
     odds, correlations = [], list(label.correlations())
     for each in correlations:

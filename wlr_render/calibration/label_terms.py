@@ -2,7 +2,7 @@
 
 Readings of one label share an error. The size of each kind of error is a hyperparameter. Where the readings do not
 determine it, it stays at the usual size, and the model carries the error: a raster shows neither a drift nor a screw.
-The axes of the stage are taken to be those of the device frame.
+The axes of the stage are assumed parallel to the axes of the device frame.
 """
 
 from collections.abc import Iterator
@@ -27,16 +27,16 @@ USUAL_FALL, FALLS_DIFFER = 0.3, 0.3
 """Fall of the logarithm of a wave's size with its frequency, per radian in `_UNIT_M`, and its sigma."""
 _UNIT_M = 0.1  # a hand's width
 _FINEST_M, _FINEST_HEIGHT_M = 0.095, 0.19  # half of the shortest wave: printers err over the width of a hand
-_ALONG = 0.25  # largest ratio of cross-axis to along-axis response for which outputs have print errors of their own
-_MOST_WAVES = 12  # along an axis
+_ALONG = 0.25  # largest ratio of cross-axis to along-axis response for which the outputs have separate print errors
+_MOST_WAVES = 12  # largest number of waves along an axis
 _BEYOND = 1.15  # extent of the board over the extent of its dots
 _TIMES = 4  # orders of a drift in time; each is as much smaller as it is higher
 _TURN, _ZOOM = 1.0, 0.3  # sizes of a drift that is the same all over the field, and of one that grows along an axis
-_MEAN = 0.5  # size of a drift's mean over that of its first order: the camera's pose was measured at another time
+_MEAN = 0.5  # size of a drift's mean over its first order's size: the camera's pose was measured at another time
 _SAME_READING_M = 1e-4  # readings of a stage's axis nearer than this are one
-_MOST_READINGS = 32  # of an axis; more are binned
-_SMOOTH_ORDER = 3  # of the place: errors that vary with it no faster may be optics
-_ROUGH_SHARE = 0.4  # least share of the errors by reading that are not so smooth: they tell the size
+_MOST_READINGS = 32  # most distinct readings of an axis; more are binned
+_SMOOTH_ORDER = 3  # highest order in the place of errors that may be optics
+_ROUGH_SHARE = 0.4  # least share of the errors by reading that vary faster: these determine the size
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class LabelTerm:
     Attributes:
         name: of their size among the hyperparameters.
         source: as an error budget names it.
-        columns: (n, k) of an axis, which has unknowns of its own, or (n, 2, k) of unknowns that both axes share: change
-            of `observed` by each unknown.
+        columns: change of `observed` by each unknown: (n, k) if each axis has separate unknowns, (n, 2, k) if both axes
+            share them.
         offset: (k,) logarithm of the prior size of each unknown, for a size of one.
         usual: the size that is expected before the readings.
         frequency: (k,) of each unknown, by which its prior size falls; None for none.
@@ -193,7 +193,7 @@ def smooth_basis(place: FloatArray, share: float) -> FloatArray:
 def board_terms(
     dot: FloatArray, point: FloatArray, pose: IntArray, by_point: FloatArray, is_pose_fitted: bool
 ) -> list[LabelTerm]:
-    """Return printing errors in the plane of a board, and its heights over the plane that fits it, at all poses alike.
+    """Return printing errors in the plane of a board and heights over its best-fit plane, the same at all poses.
 
     Args:
         dot: (n, 2) places on the board, metres; NaN where unknown.
@@ -210,7 +210,7 @@ def board_terms(
 
 
 def _print_term(dot: FloatArray, by_shift: FloatArray, is_pose_fitted: bool) -> LabelTerm | None:
-    """Return printing errors in the plane of a board; both of its axes have waves of their own.
+    """Return printing errors in the plane of a board, with separate waves for its two axes.
 
     Args:
         dot: (n, 2) places on the board, metres.

@@ -42,7 +42,7 @@ def choose_base_plane(viewpoint: FloatArray, eye_box: EyeBox) -> BasePlane:
         eye_box: box of valid viewpoints.
     """
     position = np.unique(viewpoint, axis=0)
-    mean = position[0] + (position - position[0]).mean(axis=0)  # equal coordinates stay what they are
+    mean = position[0] + (position - position[0]).mean(axis=0)  # exact where all coordinates are equal
     lateral, rise = (position - mean)[:, :2], (position - mean)[:, 2]
     along, across = (
         np.linalg.svd(lateral, compute_uv=False, full_matrices=True)[:2] if len(position) > 1 else (0.0, 0.0)
@@ -63,7 +63,7 @@ def choose_base_plane(viewpoint: FloatArray, eye_box: EyeBox) -> BasePlane:
 
 @dataclass(frozen=True)
 class ModelKind(Generic[AnyCaptures, AnyModel]):
-    """How a kind of model is fitted.
+    """Recipe for fitting one kind of model.
 
     Attributes:
         readings: (captures, place, limits, trend) -> readings.
@@ -103,7 +103,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
 
     Attributes:
         name: "display" or "see-through".
-        subject: what the model's inputs are beside the place, "pixel" or "direction".
+        subject: the model's input other than the place, "pixel" or "direction".
         kinds: by name; "planar" is one of them.
         limits: of the orders of the fit that finds which terms matter, and of all fits; see `smooth_search.fit_within`.
         check: (captures, kind, place), refuses captures that no fit is needed to refuse.
@@ -182,7 +182,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
     def with_trend(self, fitted: ModelFit[AnyModel], plane: BasePlane, trend: Trend) -> ModelFit[AnyModel]:
         """Return a fit on a plane with another prior of the trend's parameters; see `SmoothFit.with_trend`."""
         smooth = fitted.smooth.with_trend(trend)
-        captures: Any = fitted.captures  # of this side
+        captures: Any = fitted.captures  # AnyCaptures of this side
         mapping = self.kinds[fitted.kind].model(captures, plane, smooth.polynomial, smooth.spread)
         return replace(fitted, mapping=mapping, smooth=smooth, readings_of=partial(fitted.readings_of, trend=trend))
 

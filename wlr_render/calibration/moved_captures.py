@@ -1,4 +1,4 @@
-"""Motions of the camera: those found beside the stated ones, and the odds that a capture moved by more than a stage."""
+"""Camera motions: fitted against stated sizes, and the odds that a camera moved more than a stage's repeatability."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -39,26 +39,26 @@ class CaptureMotion:
 
     @property
     def is_suspect(self) -> bool:
-        """Whether it may have moved, by more than an ordinary stage does and no more than a camera can."""
+        """True if the camera may have moved by more than an ordinary stage's error and by a plausible amount."""
         is_moved = self.shift_m > _MOVED_M or self.turn_rad > _MOVED_RAD
         is_plausible = self.shift_m < _PLAUSIBLE_M and self.turn_rad < _PLAUSIBLE_RAD
         return self.log10_odds > _SUSPECT_LOG10_ODDS and is_moved and is_plausible
 
     @property
     def stands_out(self) -> bool:
-        """Whether it moved at odds from which it is named."""
+        """True if the odds that the camera moved are high enough to report it."""
         return self.is_suspect and self.log10_odds > _LEAST_LOG10_ODDS
 
 
 @dataclass(frozen=True)
 class MotionAgreement:
-    """Motions of the camera as the captures state them, beside those that a fit found.
+    """Comparison of the camera motions that the captures state with the fitted motions.
 
     Attributes:
         shift_m, turn_rad: stated, rms per axis over all captures.
         shift_factor, turn_factor: found over stated.
-        shift_sigmas, turn_sigmas: how many standard deviations of their logarithms the factors are from 1, by what the
-            captures state of them and by what the readings alone say.
+        shift_sigmas, turn_sigmas: distance of the factors' logarithms from 0 by the readings alone, in standard
+            deviations that combine the uncertainties of the stated sizes and of the readings.
     """
 
     shift_m: float
@@ -70,11 +70,11 @@ class MotionAgreement:
 
 
 def usual_motion(readings: FitReadings, factors: FloatArray, motion: FloatArray, others: IntArray) -> FloatArray:
-    """Return sizes (captures, 6) of motions of captures that did not move: as found or, if smaller, as most show.
+    """Return motion sizes (captures, 6) of captures that did not move: as fitted or, if smaller, by the median motion.
 
     Args:
-        readings: what was fitted.
-        factors: (6,) sizes that the fit found over those of `motion_sizes`.
+        readings: the fitted readings.
+        factors: (6,) sizes that the fit found over the sizes of `motion_sizes`.
         motion: (captures, 6) as the fit found it. others: captures that are not left out.
     """
     stated = motion_sizes(readings)

@@ -5,7 +5,7 @@ out from the others': it was not taken at the stated position.
 
 Through the optics every dot is displaced from the straight line to it by an amount that varies smoothly over a
 photograph. A dot is an outlier if it does not follow that smooth field, or if its stated sigma is far above the
-others', as that of a dot cut by an aperture's edge is.
+others': an aperture's edge cuts the dot, for example.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,7 +46,7 @@ _ROWS = 150  # rows of a capture that the search for outliers uses: a motion nee
 _DEGREE = 4  # degree of the fit that finds them: optics that follow a capture far off hide it
 _LEAST_ARCMIN = 2.0  # an error below it spoils no model
 
-_DOT_TOP_DEGREE = 4  # highest degree of the field of a photograph's dots: a misread dot is off by itself
+_DOT_TOP_DEGREE = 4  # highest degree of the field of a photograph's dots: a misread dot is isolated
 _DOTS_PER_TERM = 8  # fewest dots for each term, so that an outlier among them bends the field little
 _DOT_SIGMAS, _DOT_LEAST_ARCMIN = 8.0, 0.3
 """An outlier is off by more than both: by what neither noise nor a field of higher degree leaves, and by a third of a
@@ -60,7 +60,7 @@ _MAD = 1.4826  # median absolute deviation to standard deviation
 def sound_captures(
     session: PhotoSession, reading: Reading, bench: CalibratedBench
 ) -> tuple[Captures, tuple[Excluded, ...]]:
-    """Return captures of one eye without those that were not taken where they are said to be, and which those are.
+    """Return the captures of one eye that agree with their stated positions, and the excluded photographs.
 
     Raises:
         BadInputError: all cameras stand far from the eye box: a pose or a length of session.toml is wrong.
@@ -122,7 +122,7 @@ def _of_primary(session: PhotoSession, entry: CodeSet, samples: DecodedSamples) 
 
 
 def _place_numbers(photographs: Sequence[BoardPhotograph]) -> list[int]:
-    """Return a number for each photograph, the same for those of one camera place."""
+    """Return a number for each photograph; photographs from one camera place share a number."""
     numbers: dict[str, int] = {}
     return [numbers.setdefault(each.place, len(numbers)) for each in photographs]
 
@@ -291,7 +291,7 @@ def _outliers(
     try:
         smooth = fit(select(captures, rows), "planar", _DEGREE).smooth
     except BadInputError:
-        return {}  # so says the fit of all of them
+        return {}  # the fit to all rows reports the error
     found = {int(group[rows][smooth.readings.capture == each.capture][0]): each.arcmin for each in smooth.moved}
     return {name: off for name, off in sorted(found.items()) if off > _LEAST_ARCMIN}
 

@@ -1,6 +1,6 @@
 """Rigid poses with their uncertainty, to first order.
 
-The uncertainty of `b_from_a` is that of a small motion in frame b that follows it: rotation vector (rad), then
+The covariance of `b_from_a` describes a small motion in frame b that follows it: rotation vector (rad), then
 translation (m), so that the true pose is `small_motion(delta) @ b_from_a` with `delta` of the covariance given. See
 T. D. Barfoot, *State Estimation for Robotics* (2017), section 7.3; he puts the translation first.
 """

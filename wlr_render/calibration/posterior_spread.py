@@ -11,8 +11,8 @@ from wlr_render.numerics.polynomial import Polynomial, basis
 from wlr_render.numerics.posterior import Posterior
 
 _KEPT = 0.98  # share of the predictions' variance that low-rank factors keep: sigmas are then 1 % too small
-_SAMPLES = 500  # readings at which that is judged
-_OF_LABEL = 12  # variables of an error by label, as many for each fit: display and see-through count them alike
+_SAMPLES = 500  # readings at which that share is measured
+_OF_LABEL = 12  # variables of an error by label in every fit: display and see-through need the same number
 
 
 def spread_of(
@@ -21,10 +21,10 @@ def spread_of(
     """Low-rank factors of the posterior covariance, judged by the variance that they keep at some of the readings.
 
     Args:
-        readings: what was fitted.
+        readings: the fitted readings.
         found: the posterior.
         response: how the fit follows errors that it does not find.
-        beyond: (blocks,) variance that terms beyond those of the fit add to an output; None for none.
+        beyond: (blocks,) variance that terms outside the fit add to an output; None for none.
     """
     orders, box, blocks = readings.orders, readings.box, readings.blocks
     outputs, parameters = blocks * (1 if readings.mixed else 2), 0
@@ -127,7 +127,7 @@ def _sample(readings: FitReadings) -> tuple[IntArray, FloatArray]:
 
 
 def _by_side(readings: FitReadings, found: Posterior) -> Polynomial:
-    """Return what a fitted polynomial does with the side unknowns, the trend's parameters first: outputs * side."""
+    """Return the derivative (outputs * side) of a fitted polynomial by the side unknowns, trend parameters first."""
     orders, trend, outputs = readings.orders, readings.trend, 2 * readings.blocks
     follow = found.by_side[:, :, : readings.coefficients].transpose(0, 2, 1)  # (2, columns, side)
     unknowns = follow.shape[2]
@@ -142,7 +142,7 @@ def _by_side(readings: FitReadings, found: Posterior) -> Polynomial:
 
 
 def _with_constant(factors: FloatArray, orders: IntArray, beyond: FloatArray | None) -> FloatArray:
-    """Factors (terms, blocks, rank), and those of a variance (blocks,) that is the same everywhere."""
+    """Append to factors (terms, blocks, rank) the factors of a constant variance (blocks,)."""
     if beyond is None or not beyond.any():
         return factors
     constant = (orders.sum(axis=1) == 0)[:, None, None]
@@ -187,8 +187,8 @@ def lower_root(covariance: FloatArray, jitter: float = 1e-12) -> FloatArray:
 def principal(sampled: FloatArray, others: float = 0.0, most: int | None = None) -> FloatArray:
     """Directions (k, rank) of standard normal variables that keep `_KEPT` of the variance of samples (n, k).
 
-    Scaled so that the mean variance of the samples stays what it is. None is kept where all are nothing beside
-    `others`, the sum of squares of further samples. With `most` the rank is that, or k where k is less.
+    The scale preserves the mean variance of the samples. The rank is 0 where the samples are negligible against
+    `others`, the sum of squares of further samples. With `most` the rank is `most`, or k where k is less.
     """
     values, vectors = np.linalg.eigh(sampled.T @ sampled)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]

@@ -14,11 +14,11 @@ from wlr_render.numerics.posterior import Posterior
 
 @dataclass(frozen=True)
 class Response:
-    """How a fit follows errors that it does not find: k independent standard normal variables.
+    """Response of a fit to errors that it does not estimate: k independent standard normal variables.
 
     Attributes:
-        sources: (k,) what each is an error of.
-        coefficients: (k, 2, columns) of each axis. mixed: (k, columns) of what both share: the parameters of the trend,
+        sources: (k,) name of each error's source.
+        coefficients: (k, 2, columns) of each axis. mixed: (k, columns) of shared unknowns: the parameters of the trend,
             or the coefficients of mixed polynomials.
     """
 
@@ -45,7 +45,7 @@ class UndeterminedModelError(BadInputError):
 
 
 def free_part(readings: FitReadings) -> Polynomial:
-    """Least squares by the few free terms: what is left of the observed values is small, so that sums keep digits.
+    """Fit the few free terms by least squares: sums over the small residuals keep more digits.
 
     Raises:
         BadInputError: the readings do not determine them.
@@ -84,7 +84,7 @@ def sums_of(
         start: the free part; None for sums without values.
         motion: (n, 2, 6) columns of the motion of each reading's camera; None without motions.
         kept: (n,) weights of the readings.
-        captures: number of camera positions; None for that of the readings.
+        captures: number of camera positions; None to count the readings' positions.
         still: the sums of the same readings and weights without motions, if they are there; saves most of the work.
     """
     own = 0 if motion is None else 6

@@ -55,7 +55,7 @@ class Limits:
         return limited_orders(pixels, self.pixel, places, self.place, self.total)
 
     def words(self, noun: str, places: bool) -> str:
-        """In a table: "pixel 8, place 5"."""
+        """Return the limits in words for a table, e.g. "pixel 8, place 5"."""
         if self.total < 0:
             return "of the prescription"
         if not places or self.pixel == self.place:
@@ -72,7 +72,7 @@ by how much `observed` less the model changes with a shift of the camera, metres
 
 @dataclass(frozen=True)
 class Trend:
-    """What is known before the fit, e.g. a prescription with its assembly errors: a mean and unknown parameters.
+    """Prior mean of a model with unknown parameters, e.g. a prescription with its assembly errors.
 
     Attributes:
         mean: inputs -> outputs, where the parameters are at their prior mean.
@@ -104,13 +104,13 @@ class Trend:
 class Common:
     """Errors that the captures share, k standard normal variables. A fit follows them; it does not find them.
 
-    As unknowns they would be found where nothing tells of them: by the prior, in which optics seen from beside are a
-    little smoother, or by the noise of the tangents in their columns (decision 9).
+    As unknowns they would get spurious estimates: from the prior, which finds optics a little smoother from shifted
+    viewpoints, or from the noise of the tangents in their columns (decision 9).
 
     Attributes:
-        columns: (slope of the modelled values (n, 2, variables)) -> (n, 2, k): by how much `observed` less the model
-            changes with each error.
-        sources: (k,) what each error is of.
+        columns: (slope of the modelled values (n, 2, variables)) -> (n, 2, k): change of `observed` less the model
+            with each error.
+        sources: (k,) name of each error's source.
     """
 
     columns: Callable[[FloatArray], FloatArray]
@@ -128,16 +128,16 @@ class FitReadings:
         multiplier: (n, blocks) for both tangents, or (n, 2, blocks) for polynomials of one output each.
         metric: (n,) arcminutes per unit of `observed`.
         sigma: (n,) arcminutes; all zero for exact data.
-        capture: (n,) indices 0..captures - 1 of what shares a motion of the camera.
-        motion: (slope of the modelled values (n, 2, variables)) -> (n, 2, 6): by how much `observed` less the model
-            changes with a shift (metres) and a turn (radians) of the camera; None where no motion is modelled.
+        capture: (n,) indices 0..captures - 1; the readings of a capture share a motion of the camera.
+        motion: (slope of the modelled values (n, 2, variables)) -> (n, 2, 6): change of `observed` less the model
+            with a shift (metres) and a turn (radians) of the camera; None where no motion is modelled.
         orders: (terms, variables) of the fit.
-        trend: what is known of the model before the fit; None for nothing.
-        motion_prior: of the motions, by index of `capture`; None for that of an unknown stage.
+        trend: prior mean of the model with its unknown parameters; None for no trend.
+        motion_prior: prior of the motions, by index of `capture`; None for the prior of an unknown stage.
         common: errors that all captures share; None where none are known.
         shared: noise that neighbouring readings of a capture share, as a fit found it; None for white noise.
-        axis_terms: errors by label of which both tangents have their own.
-        joint_terms: errors by label that both tangents share. stage_terms: likewise, those of the stage; see `moving`.
+        axis_terms: errors by label with separate unknowns for each tangent.
+        joint_terms: errors by label that both tangents share. stage_terms: likewise, of the stage; see `moving`.
         stage: labels of the stage; None where no motion is modelled.
     """
 
@@ -171,7 +171,7 @@ class FitReadings:
 
     @property
     def mixed(self) -> bool:
-        """Whether each polynomial has one output, which both tangents share."""
+        """True if each polynomial has one output, which both tangents share."""
         return self.multiplier.ndim == 3
 
     @property
@@ -181,7 +181,7 @@ class FitReadings:
 
     @cached_property
     def box(self) -> Box:
-        """Of the inputs, grown by a margin; a trend brings its own."""
+        """Box around the inputs plus a margin; with a trend, the trend's box."""
         if self.trend is not None:
             return self.trend.mean.box
         return fitted_box(self.inputs, self.is_place)
@@ -194,12 +194,12 @@ class FitReadings:
 
     @cached_property
     def free(self) -> BoolArray:
-        """(terms,) constant and slopes in pixel or direction: their prior size is one unit. None beside a trend."""
+        """(terms,) constant and slopes in pixel or direction: their prior size is one unit. All False with a trend."""
         at_place = self.orders[:, self.is_place].any(axis=1)
         return np.asarray(~at_place & (self.orders.sum(axis=1) <= 1) & (self.trend is None))
 
     def select(self, rows: BoolArray | IntArray) -> "FitReadings":
-        """Return some of the readings; captures keep their indices, and the box is that of all."""
+        """Return some of the readings, with the box and the capture indices of the whole set."""
         per_row = ("inputs", "observed", "multiplier", "metric", "sigma", "capture")
         chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None, common=None)
         terms: dict[str, Any] = {
@@ -219,7 +219,7 @@ class FitReadings:
         return 0 if self.mixed else self.blocks * len(self.orders)
 
     def design(self, rows: slice | IntArray) -> FloatArray:
-        """Columns of all that an output has of its own, see `design_of`: coefficients, then errors by label."""
+        """Return the columns of an output's separate unknowns: coefficients, see `design_of`, then errors by label."""
         design = design_of(self, rows, basis(self.inputs[rows], self.orders, self.box))
         if not self.axis_terms:
             return design
@@ -227,7 +227,7 @@ class FitReadings:
 
     @property
     def parameters(self) -> int:
-        """Number of unknowns of the model that both outputs share: those of the trend, or of mixed polynomials."""
+        """Number of model unknowns that both outputs share: trend parameters, or coefficients of mixed polynomials."""
         return self.blocks * len(self.orders) if self.mixed else self.trend.parameters if self.trend else 0
 
     @property
@@ -282,11 +282,11 @@ class FitReadings:
         return changed
 
     def values(self, polynomial: Polynomial) -> FloatArray:
-        """Return what a polynomial says of `observed`, (n, 2)."""
+        """Return the prediction (n, 2) of `observed` by a polynomial."""
         return self._combined(polynomial(self.inputs))[..., 0]
 
     def slopes(self, polynomial: Polynomial) -> FloatArray:
-        """Its derivative by the inputs, (n, 2, variables)."""
+        """Return the derivative of `values` by the inputs, (n, 2, variables)."""
         return self._combined(polynomial.with_jacobian(self.inputs)[1])
 
     def _combined(self, value: FloatArray) -> FloatArray:
@@ -304,10 +304,9 @@ def flat_places(inputs: FloatArray, is_place: BoolArray) -> BoolArray:
 
 
 def without_thickness(place: FloatArray) -> FloatArray:
-    """Return places (n, k) projected onto the line or plane in which they all but lie.
+    """Return places (n, k) projected onto their best-fit line or plane if their scatter across it is negligible.
 
-    Errors of the stage are all that is known of the places across it; a fit would take them for a dependence on the
-    place.
+    This scatter consists of stage errors only; a fit would mistake them for a dependence on the place.
     """
     centre = place.mean(axis=0)
     _, extent, axes = np.linalg.svd(place - centre, full_matrices=False)
@@ -316,7 +315,7 @@ def without_thickness(place: FloatArray) -> FloatArray:
 
 
 def fitted_box(inputs: FloatArray, is_place: BoolArray) -> Box:
-    """Box of a fit to inputs (n, variables); a place without extent along an axis gets that of the others."""
+    """Return the box of a fit to inputs (n, variables); flat axes of the place get the widest axis's extent."""
     box, flat = Box.around(inputs), flat_places(inputs, is_place)
     if flat.any():
         known = is_place & ~flat
@@ -347,7 +346,7 @@ def common_of(
     """Return common errors of captures in the readings of a model that depends on the place; None without any.
 
     Args:
-        captures: what was measured.
+        captures: the measured captures.
         respond: see `Respond`.
         by_point: (rows) -> (r, 2, 3) likewise by the real point; None for the panel.
     """
