@@ -10,8 +10,8 @@ the optics found it. With the tracked viewpoint v, the display direction D and t
     turn      of the headset against its head tracker
     pointing  the wearer's own constant error, which is estimated and never corrected
 
-Shift and the turn about x and y look nearly alike, and so does pointing: the priors share a constant angle out among
-them. Only dots at several depths tell offset from shift, and growth from an offset along z. An update is the Gaussian
+Shift, the turn about x and y, and pointing are nearly degenerate: the priors divide a constant angle among them. Only
+dots at several depths separate offset from shift, and growth from an offset along z. An update is the Gaussian
 maximum a posteriori by Gauss-Newton steps; wrong clicks, and a slip that nobody announced, are found by their evidence.
 Errors of the models are the same in all clicks of a place: they enter through the models' own covariance, with the
 correlation between clicks.
@@ -38,14 +38,14 @@ OFFSET, SHIFT, GROWTH, TURN, POINTING = slice(0, 3), slice(3, 5), slice(5, 6), s
 """Places in the vector of parameters: metres, pixels, a ratio, radians, arcminutes."""
 PARAMETERS = 11
 
-_STEPS = np.repeat([1e-5, 1e-2, 1e-5, 1e-5, 1e-2], [3, 2, 1, 3, 2])  # of central differences
+_STEPS = np.repeat([1e-5, 1e-2, 1e-5, 1e-5, 1e-2], [3, 2, 1, 3, 2])  # steps of central differences, per parameter
 _ITERATIONS = 30  # most steps of Gauss-Newton
 _STILL_ARCMIN = 1e-7  # change of the predicted clicks that ends the iteration
 _SETTLED = 0.01  # last change, in a click's scatter, that leaves a result: it adds 1 % of the error
 _NEAREST_M, _FARTHEST_M = 0.05, 100.0  # real points that a wearer clicks on; others are in another unit
 _FAR_FROM_BOX_M = 0.05  # distance of a pupil beyond the eye box, ten slips of a headset: another frame or unit
 _FARTHEST_CLICK_ARCMIN = 300.0  # largest error of a click, 5 degrees: beyond, pixel and point do not belong together
-_LEAST_SIGMA_ARCMIN = 0.05  # of clicks: less is nobody's, and would drown in rounding beside wrong clicks
+_LEAST_SIGMA_ARCMIN = 0.05  # least sigma of a click; a smaller one is implausible and lost to rounding
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ class Clicks:
 
 @dataclass(frozen=True, eq=False)
 class WearState:
-    """What has moved since the calibration of one eye of a headset, as a Gaussian; `begin` makes the first.
+    """Gaussian state of the parameters that move after the calibration of one eye; `begin` makes the first.
 
     Draw with `viewpoint`, `pose` and `corrected` in place of the tracked viewpoint, the tracked pose and the calibrated
     mappings.
@@ -188,11 +188,11 @@ class WearState:
         return self._with_added(self.settings.by_slip)
 
     def updated(self, clicks: Clicks, click_arcmin: float | None = None) -> "WearState":
-        """Return the state after some clicks, in any number. Dots at two depths or more tell the parameters apart.
+        """Return the state after one or more clicks. Only dots at two or more depths separate the parameters.
 
         Args:
-            clicks: made now.
-            click_arcmin: scatter per axis; that of the settings if None.
+            clicks: the new clicks.
+            click_arcmin: scatter per axis; None for `settings.click_arcmin`.
 
         Raises:
             BadInputError: a click outside the panel or the field of view, a point or viewpoint that is not in metres,
@@ -231,7 +231,7 @@ class WearState:
         return np.asarray(tracked + self.mean[OFFSET])
 
     def pose(self, world_from_device: FloatArray) -> FloatArray:
-        """Pose (4, 4) of the headset for that of the head tracker."""
+        """Return the headset's pose (4, 4), world_from_device, from the head tracker's pose."""
         turn = transforms.rotations_of_vectors(self.mean[TURN])
         return np.asarray(world_from_device @ transforms.rigid(turn.T, np.zeros(3)))
 
@@ -241,7 +241,7 @@ class WearState:
         return replace(mappings, display=display)
 
     def pixel(self, point: FloatArray, tracked: FloatArray) -> FloatArray:
-        """Panel pixels (..., 2) that show real points (..., 3) to tracked viewpoints (..., 3); NaN if there is none.
+        """Return panel pixels (..., 2) that cover real points (..., 3) at tracked viewpoints (..., 3), or NaN.
 
         Points in the device frame as the head tracker has it, metres.
         """
@@ -253,8 +253,8 @@ class WearState:
     def sigma_arcmin(self, point: FloatArray, tracked: FloatArray) -> FloatArray:
         """Return the expected misalignment (n,) of points (n, 3) from tracked viewpoints (n, 3), rms over both axes.
 
-        Of what moves in use, of the tracker's noise and of the models' covariance. Ask for clicks where it is more than
-        you tolerate.
+        It combines the state's covariance without pointing, the eye tracker's noise and the models' covariance. Ask for
+        clicks where it exceeds your tolerance.
         """
         pixel = self.pixel(point, tracked)
         rows = np.flatnonzero(np.isfinite(pixel).all(axis=1))
@@ -284,7 +284,7 @@ class WearState:
         return displayed.value, see_through.view_dir_of_real_point(point, viewpoint).value
 
     def _linearised(self, mean: FloatArray, clicks: Clicks) -> tuple[FloatArray, FloatArray]:
-        """How far the clicks are from where they should be, (2 n,) arcmin, and the derivative by the parameters."""
+        """Return the registration errors of the clicks, (2 n,) arcmin, and their derivative by the parameters."""
         steps = np.concatenate([np.zeros((1, PARAMETERS)), np.diag(_STEPS), -np.diag(_STEPS)])
         displayed, seen = self._directions((mean + steps)[:, None], clicks)
         axes = right_and_up(seen[0]) / ARCMIN
@@ -329,7 +329,7 @@ class WearState:
         return _Fitted(mean, 0.5 * (covariance + covariance.T), outliers, log_odds + log_prior, settled)
 
     def _check(self, clicks: Clicks) -> None:
-        """Refuse clicks that cannot be.
+        """Refuse impossible clicks.
 
         Raises:
             BadInputError: see `updated`.

@@ -1,8 +1,8 @@
 """A smooth polynomial fitted to captures by maximum evidence: one mechanism for all kinds of models.
 
-The readings decide how smooth the optics are (`smooth_prior.py`). What the readings of one capture share, a small shift
-and turn of the camera, is unknown, too; its size is the repeatability of the stage, which the captures state or the
-readings tell. They also tell which terms matter (`smooth_search.py`). No design is refused: where camera positions are
+The readings decide how smooth the optics are (`smooth_prior.py`). A small shift and turn of the camera in each capture
+is unknown, too; its size is the repeatability of the stage, which the captures state or the fit estimates. The readings
+also determine which terms matter (`smooth_search.py`). No design is refused: where camera positions are
 few, the posterior is wide.
 """
 
@@ -33,7 +33,7 @@ from wlr_render.numerics.polynomial import Polynomial, basis
 from wlr_render.numerics.posterior import Posterior
 
 _BEYOND = 0.05  # share of a fit's variance that is expected of the terms beyond its own before it gets more of them
-_UNSEEN = 0.1  # of the least noise: what terms beyond may always add
+_UNSEEN = 0.1  # share of the least noise that the missing terms may always add
 _SETTLED = 0.02  # largest distance of a logarithm from its optimum where the search for it ends
 _SIDES_DIFFER = 0.1  # logarithm of the sizes of the stage's errors in the display's captures over the others'
 _CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
@@ -41,19 +41,19 @@ _CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
 
 @dataclass(frozen=True)
 class SmoothFit:
-    """A fitted polynomial with its posterior covariance, and what the fit found of the bench.
+    """A fitted polynomial with its posterior covariance, and the errors of the bench that the fit found.
 
     Attributes:
-        polynomial: its outputs are those of block 0, then block 1, and so on.
+        polynomial: outputs of block 0, then block 1, and so on.
         posterior: of coefficients, motions and hyperparameters.
-        readings: what was fitted.
+        readings: the fitted readings.
         kept: (n,) weights of the readings, from 1 down to 0 for outliers.
         moved: captures that moved by far more than the others; their weights are zero.
-        beyond: (blocks,) variance of each output of a block that is expected of terms beyond those of the fit; None for
-            limits that the user states.
-        of_labels: errors that the readings of a label share beyond those that the fit finds; None where none were
-            looked for.
-        others: sources of errors by label of the eye's other model, before and after those of this one.
+        beyond: (blocks,) expected variance of the terms outside the fit, for each output of a block; None for limits
+            that the user states.
+        of_labels: errors that the readings of a label share in addition to the fitted errors; None if they were not
+            searched for.
+        others: sources of the other model's errors by label, before and after this model's sources.
         prior: of coefficients and motions.
         columns: (n, 2, 6) change of the readings by the motions; None where none are modelled.
         start: the free part, which the sums lack.
@@ -92,7 +92,7 @@ class SmoothFit:
 
     @property
     def motion_agreement(self) -> MotionAgreement | None:
-        """Whether the readings agree with the motions that the captures state; None where they state none."""
+        """Comparison of the fitted motions with the stated ones; None where the captures state none."""
         known = self.readings.motion_prior
         if known is None or self.curvature is None:
             return None
@@ -102,14 +102,14 @@ class SmoothFit:
         curvature = np.maximum(self.curvature[-2:], 1e-9)
         off = np.log(self._motion_factors)
         alone = off + (off - mean) / sigma**2 / curvature
-        # Readings that say nothing have nearly no curvature: what the search left to go would look like a pull.
+        # Uninformative readings have almost no curvature: the search's remaining distance would look like a pull.
         unfinished = _SETTLED / sigma**2 / curvature
         sigmas = np.abs(alone) / np.sqrt(known.log_sigma**2 + 1.0 / curvature + unfinished**2)
         return MotionAgreement(float(shift_m), float(turn_rad), *map(float, self._motion_factors), *map(float, sigmas))
 
     @property
     def stage(self) -> Stage:
-        """What other captures of the same bench may expect of the stage; empty where no motions were modelled."""
+        """Prior of the stage's errors for other captures of the same bench; empty where no motions were modelled."""
         if self.curvature is None:
             return {}
         names = self.prior.names
@@ -149,7 +149,7 @@ class SmoothFit:
 
     @property
     def determined(self) -> tuple[float, int]:
-        """How many coefficients and parameters of the trend the readings determine, and of how many."""
+        """Effective number of coefficients and trend parameters that the readings determine, and their total number."""
         found, own = self.posterior, self.readings.coefficients
         parameters, side = self.readings.parameters, len(found.side_covariance)
         variance = np.diag(found.side_covariance)[parameters:]
@@ -234,11 +234,11 @@ class SmoothFit:
         """Predict readings (n,) bool by a fit to the others at the same hyperparameters.
 
         Returns:
-            rms length of the prediction's errors in arcminutes, and what the fit expects of it.
+            rms length of the prediction's errors and the rms that the fit expects, both in arcminutes.
         """
         readings, out = self.readings, rows & (self.kept > 0)
         chosen = readings.select(out)
-        # Readings of a capture share noise: those that stay enter anew.
+        # Readings of a capture share noise: the remaining ones are summed again.
         touched = np.isin(readings.capture, chosen.capture)
         sums = self.sums - (self._sums_of(touched) - self._sums_of(touched & ~out))
         rest = posterior(sums, self.prior, self.hyper, evidence=False)
@@ -279,7 +279,7 @@ class SmoothFit:
         return np.asarray(variance * readings.metric[rows] ** 2)
 
     def _sums_of(self, rows: BoolArray) -> Sums:
-        """Return sums over some of the readings, whole captures or what is left of them."""
+        """Return sums over some of the readings: whole captures or parts of captures."""
         columns = None if self.columns is None else self.columns[rows]
         return sums_of(
             self.readings.select(rows),
@@ -290,7 +290,7 @@ class SmoothFit:
         )
 
     def spread_with(self, readings: FitReadings) -> Covariance:
-        """Covariance that further readings would give: `readings` are those of this fit, then more, at this noise."""
+        """Return the covariance with further readings at this noise: `readings` are this fit's readings, then more."""
         return self._spread(
             readings, np.concatenate([self.kept, np.ones(len(readings) - len(self.kept))]), self.posterior.hyper
         )
@@ -312,7 +312,7 @@ class SmoothFit:
             readings = readings.moving(columns)
         prior = smoothness_prior(readings, moving=columns is not None)
         sums = sums_of(readings, None, columns, kept)
-        usual = dict(zip(prior.names, prior.expected[:, 0], strict=True))  # of labels that the first readings lacked
+        usual = dict(zip(prior.names, prior.expected[:, 0], strict=True))  # for labels new in these readings
         found = posterior(sums, prior, np.array([hyper.get(name, usual[name]) for name in usual]), evidence=False)
         return self._with_common(readings, found, sums, kept)
 

@@ -1,4 +1,4 @@
-"""What is expected of optics, noise and stage before the readings: priors of a fit, bounds and starts of their search.
+"""Priors of optics, noise and stage for a fit, with the bounds and starting points of the hyperparameter search.
 
 A coefficient of order a in the pixel (or direction) and b in the place has the prior size exp(size - lambda a - mu b),
 with a slope for each variable.
@@ -27,11 +27,11 @@ LARGEST_SHIFT_M, LARGEST_TURN_RAD = 1e-3, 3e-3
 SHIFT, TURN = slice(0, 3), slice(3, 6)
 LEAST_MOTION = 1e-9  # metres, radians
 _MOST_TIMES = 10.0  # the sizes known before may be wrong by
-_SHIFTS, _TURNS = (-0.6, 1.2, 2.8), (-1.0, 0.8, 2.5)  # where the search for motions starts: sigmas of the logarithms
+_SHIFTS, _TURNS = (-0.6, 1.2, 2.8), (-1.0, 0.8, 2.5)  # starts of the motion search, sigmas of the log sizes
 _STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
-_USUAL_SLOPES = (2.5, 1.5)  # of the prior by place and by pixel, for readings that tell little; give or take one
+_USUAL_SLOPES = (2.5, 1.5)  # prior means of mu and lambda, for uninformative readings; sigma 1
 _FOOTPRINT, _USUAL_FOOTPRINT = "footprint", (1.0, 0.5)  # exponent of `_log_ways`: its name, mean and sigma
-_FALL = "fall"  # of the size of waves with their frequency
+_FALL = "fall"  # name of the hyperparameter by which wave sizes fall with frequency
 _LEAST_SHARE, _MOST_TIMES_USUAL = 7.0, 2.5  # logarithms of the bounds of an error by label over its usual size
 _MOTIONS = "shift", "turn"  # names of the sizes of motions
 _NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
@@ -41,12 +41,12 @@ natural logarithm of the size. "shift" and "turn" are in units of `motion_scale`
 
 
 def smoothness_prior(readings: FitReadings, moving: bool, stage: Stage | None = None) -> Prior:
-    """Prior of a fit to the readings, with motions of the captures or without.
+    """Return the prior of a fit to the readings, with or without motions of the captures.
 
     Args:
-        readings: what is fitted.
+        readings: the readings to fit.
         moving: whether the captures move.
-        stage: of which the captures are, as others tell; None for what these captures state, or what is usual.
+        stage: prior of the stage's errors from other captures; None for the stated or else the usual errors.
     """
     blocks, orders, free = readings.blocks, readings.orders, readings.free
     smooth_as, ways = _smooth_as(readings), _log_ways(readings)
@@ -76,7 +76,7 @@ def smoothness_prior(readings: FitReadings, moving: bool, stage: Stage | None = 
 
 
 class _Hyperparameter(NamedTuple):
-    """A natural logarithm or a slope, with its bounds and what is expected of it."""
+    """A natural logarithm or a slope, with its bounds and the mean and sigma of its prior."""
 
     name: str
     least: float
@@ -98,7 +98,7 @@ def _hyperparameters(
     terms = readings.axis_terms + readings.shared_terms
     for term in terms:
         usual = float(np.log(term.usual.value))
-        bounds = usual - _LEAST_SHARE, usual + _MOST_TIMES_USUAL  # what is larger is no ordinary error
+        bounds = usual - _LEAST_SHARE, usual + _MOST_TIMES_USUAL  # limits of ordinary errors
         unknown.append(_Hyperparameter(term.name, *bounds, usual, term.usual.log_sigma))
     if any(each.frequency is not None for each in terms):
         unknown.append(_Hyperparameter(_FALL, 0.0, 5.0, USUAL_FALL, FALLS_DIFFER))
@@ -132,7 +132,7 @@ def _with_terms(
 
 
 def prior_squares(readings: FitReadings, hyper: Mapping[str, float]) -> FloatArray:
-    """(blocks, terms) mean squares over the box of what each term is expected to be, infinite for the free ones.
+    """Return the prior mean square (blocks, terms) of each term over the box, infinite for the free terms.
 
     Args:
         readings: the terms.
@@ -176,9 +176,9 @@ def motion_scale(readings: FitReadings) -> FloatArray:
 
 
 def _smooth_as(readings: FitReadings) -> list[int]:
-    """Each variable's own slope of the prior, but where the captures have no extent along it, that of another.
+    """Return for each variable the variable whose prior slope it uses: itself, or another where it has no extent.
 
-    Readings at one place cannot tell how fast the optics change beside it; they would call them constant.
+    Readings at one place do not determine how fast the optics change around it; the fit would find them constant.
     """
     flat = flat_places(readings.inputs, readings.is_place)
     known = np.flatnonzero(readings.is_place & ~flat)
@@ -193,9 +193,9 @@ def noise_floor(readings: FitReadings) -> float:
 
 
 def search_starts(readings: FitReadings, prior: Prior, start: Polynomial, kept: FloatArray) -> list[dict[str, float]]:
-    """Where the search for hyperparameters starts.
+    """Return the starting points of the hyperparameter search.
 
-    Beside a trend the sizes are those of what it leaves of the readings, and nothing is left to find if it is right.
+    With a trend, the starting sizes follow from its residuals; one start has no terms, in case the trend is exact.
     """
     starts: Sequence[tuple[float, float, float, float]] = _STARTS
     if readings.trend is not None:

@@ -39,12 +39,12 @@ _MOTION_ROUNDS = 3  # slopes and motions in turns: the slopes of the first fit c
 _ROUNDS = 4  # most rounds of outlier weights and shared noise; they end earlier where nothing changes
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
 _REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # least share of motions that tell sizes: a stated size needs fewer
-_NEAR_CLEAREST = 0.7  # of the logarithm of the odds of the clearest one: what is less clear may be its doing
+_NEAR_CLEAREST = 0.7  # least log odds over the largest for rejection in a round: the clearest may cause the others
 _ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out; larger than any bump
 _MOST, _MOST_THAT_MOVE = 0.25, 0.5  # share of the captures that may be left out; beyond a half all may be wrong
 _ROUNDS_OF_MOTIONS = 8  # fits without some of the captures; each leaves out the clearest, which are few
-_ORDERS_BEYOND, _ENOUGH_ORDERS = 2, 7  # that a capture is judged by beside those of a fit, up to so many in all
-_FEW_ORDERS = 3  # in all, of the fit that finds captures far off
+_ORDERS_BEYOND, _ENOUGH_ORDERS = 2, 7  # orders added to a fit to judge captures, and highest order so reached
+_FEW_ORDERS = 3  # total order of the fit that finds captures with large motions
 
 
 def fit_within(
@@ -53,15 +53,15 @@ def fit_within(
     weights: FloatArray | None = None,
     stage: Stage | None = None,
 ) -> SmoothFit:
-    """Fit with the terms that matter, as the readings themselves tell.
+    """Fit with the terms that the readings show to matter.
 
-    A fit within the first limits that can be computed finds how fast coefficients fall with their order. While that
-    leads to expect more than `_BEYOND` of the fit's variance from the terms that it lacks, it is repeated with those of
-    the last limits that matter. The variance of all others adds to that of the fit.
+    A fit within the first limits that can be computed finds how fast coefficients fall with their order. While the
+    missing terms are expected to exceed `_BEYOND` of the fit's variance, the fit is repeated with the terms within the
+    last limits that matter. The variance of all other terms adds to the fit's variance.
 
     Args:
         readings_of: (limits) -> readings.
-        limits: the narrowest first; a single one holds whatever the readings tell.
+        limits: the narrowest first; a single one is used whatever the readings are.
         weights, stage: as of `fit`.
 
     Raises:
@@ -89,7 +89,7 @@ def _first_fit(
     for each in limits[:-1]:
         try:
             return fit(readings_of(each), None, weights, stage)
-        except np.linalg.LinAlgError:  # motions of the captures, of any size, stood in for what the limits cut off
+        except np.linalg.LinAlgError:  # unbounded motions of the captures replaced the terms outside the limits
             continue
     return fit(readings_of(limits[-1]), None, weights, stage)
 
@@ -111,11 +111,11 @@ def fit(
     """Fit by maximum evidence.
 
     Args:
-        readings: what was measured.
+        readings: the measured readings.
         before: fit to the same readings with other terms, to start from; None searches from several starts.
         weights: (n,) of the readings, 1 to 0 for outliers; None to find them. Evidence of models is comparable only
             with the same readings and weights.
-        stage: what other captures of the bench tell of the stage's errors; None to find them.
+        stage: prior of the stage's errors from other captures of the bench; None to find them.
 
     Raises:
         BadInputError: the readings determine nothing, or contradict each other.
@@ -133,7 +133,7 @@ def fit(
         return _without_moved(search, smooth)
     if not any(each.stands_out for each in _suspects(smooth)[0].values()):
         return smooth
-    if readings.trend is None:  # few orders cannot follow a capture that is far off; many find those that are less so
+    if readings.trend is None:  # low orders cannot follow a large motion; high orders find smaller ones
         few = readings.orders.sum(axis=1) <= _FEW_ORDERS
         coarse = replace(search, readings=replace(readings, orders=readings.orders[few]))
         smooth = search.without(_without_moved(coarse, coarse.without((), smooth)).moved, smooth)
@@ -177,14 +177,14 @@ class _Search:
     stage: Stage | None
 
     def without(self, moved: tuple[CaptureMotion, ...], before: SmoothFit | None = None) -> SmoothFit:
-        """Fit to all captures but those that moved, from what another fit to them found; None for no such fit."""
+        """Fit to all captures except `moved`, starting from the results of the fit `before`, or anew if it is None."""
         still = self._without_motions(moved, before)
         if still.columns is None:
             return still
         return self._with_motions(still, before if before is not None and before.moved == moved else None)
 
     def _without_motions(self, moved: tuple[CaptureMotion, ...], before: SmoothFit | None) -> SmoothFit:
-        """Fit with the weights and the noise that are those of its own residuals; `columns` if motions are to come."""
+        """Fit with weights and noise consistent with the fit's residuals; `columns` is set if motions will be added."""
         readings, start = self.readings, self.start
         stays = ~np.isin(readings.capture, [each.capture for each in moved])
         kept = stays * (np.ones(len(readings)) if self.weights is None else self.weights)
@@ -241,7 +241,7 @@ class _Search:
 def _shared_noise(
     readings: FitReadings, polynomial: Polynomial, found: Posterior, kept: FloatArray
 ) -> SharedNoise | None:
-    """Noise that neighbouring readings of a capture share, by what a polynomial leaves of good readings."""
+    """Return the noise that neighbouring readings of a capture share, from the residuals of the inliers."""
     off = (readings.observed - readings.values(polynomial)) * readings.weight[:, None]
     captures = [rows[kept[rows] == 1.0] for rows in rows_by_capture(readings.capture)]
 
@@ -255,11 +255,11 @@ def _shared_noise(
 
 
 def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
-    """Return combinations (6, captures, k) of the captures' motions without those that vary smoothly with the place.
+    """Return combinations (6, captures, k) of the captures' motions that exclude smooth functions of the place.
 
-    Smooth motions are another way to write the place; where the orders end before the optics do, they would be taken
-    for motions of the camera, of any size. The unknowns of the combinations are standard normal before the fit, up to
-    the factors.
+    Smooth motions are degenerate with the optics' dependence on the place: optics of higher order than the fit would
+    pass for motions of the camera, of any size. The unknowns of the combinations are standard normal before the fit,
+    up to the factors.
     """
     captures = int(readings.capture.max()) + 1
     used = np.flatnonzero(np.bincount(readings.capture, kept > 0, captures))
@@ -294,7 +294,7 @@ def _rough_axes(readings: FitReadings) -> tuple[FloatArray, IntArray]:
 
 
 def _with_terms_beyond(readings: FitReadings) -> FitReadings:
-    """Return readings of a fit of few orders with more: what the orders cut off looks like motions of the camera."""
+    """Return the readings of a low-order fit with higher orders: missing orders look like motions of the camera."""
     limits, variables = readings.limits, readings.is_place
     if readings.trend is not None or not _FEW_ORDERS < limits.total < _ENOUGH_ORDERS:
         return readings
@@ -348,7 +348,7 @@ def _without_axes(readings: FitReadings, smooth: SmoothFit) -> FloatArray:
 def _weights(readings: FitReadings, polynomial: Polynomial, columns: FloatArray | None, kept: FloatArray) -> FloatArray:
     """1 for readings near the model, falling to 0 for those far off; Hampel's descending function.
 
-    Where cameras may have moved, a reading is judged beside the others of its capture.
+    Where cameras may have moved, a capture's fitted motion is first removed from its residuals.
     """
     off = (readings.observed - readings.values(polynomial)) * readings.weight[:, None]
     if columns is not None:

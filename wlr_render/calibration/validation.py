@@ -1,4 +1,4 @@
-"""Refits that test the errors that a fit states, each against what the fit itself expects of it.
+"""Refits that test the errors that a fit states, each against the fit's expected value.
 
 Noise alone: the fit takes the place of the truth. Readings are drawn of it with all errors that the fit states, and are
 fitted. The truth is drawn from the posterior first: a fit to few readings follows its prior, and would otherwise err
