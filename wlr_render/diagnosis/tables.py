@@ -147,7 +147,8 @@ def parameters_table(diagnosis: DiagnosisRecord) -> ReportTable:
 def degenerate_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the causes that could be confused with each other."""
     note = (
-        "Cosine of the angle between the effect found and its best match by the other cause. Condition of the "
+        "Share of the evidence gained by the cause that the other cause would gain in its place, to first order; 100 % "
+        "if both have the same effect. Condition of the "
         f"correlations between all values found: {diagnosis.correlations.condition:.2g} (1: no values are correlated)."
     )
     return table(
