@@ -122,7 +122,7 @@ print("scipy.spatial" in rooms())
 
 @pytest.mark.slow
 def test_verbs_start_without_scipy_and_no_frame_waits_for_it() -> None:
-    """Of a fresh process: its rooms take up to 4 s, which is more than most refusals and small jobs."""
+    """SciPy's subpackages take up to 4 s to load, longer than most refusals and small jobs take."""
     printed = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, cwd=ROOT / "tests")
     assert printed.stdout.splitlines() == ["", "True"], printed.stderr
 

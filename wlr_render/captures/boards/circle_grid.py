@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import (
@@ -18,7 +19,7 @@ from wlr_render.captures.boards.board import (
 )
 from wlr_render.captures.boards.board_keys import MARGIN, MOST_FEATURES, BoardLength
 from wlr_render.captures.boards.dot_centres import measure_dots
-from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, correlated, find_dots, link_lattices
+from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, find_dots, link_lattices
 from wlr_render.captures.boards.lattice_shape import Discs, smooth_rows
 from wlr_render.captures.photographs import Photograph
 from wlr_render.io.file_records import ELSEWHERE, Key
@@ -171,7 +172,7 @@ class CircleGrid(Board):
             if (turned.max(axis=0) < shifted.max(axis=0)).any():
                 continue
             there = _occupied(turned)
-            fits = np.argwhere(correlated(there, _occupied(shifted)) == len(shifted)) - shifted.max(axis=0)
+            fits = np.argwhere(np.rint(scipy.signal.correlate(there, _occupied(shifted), mode="valid")) == len(shifted))
             extra = len(turned) - len(shifted)
             if len(fits) > 1 or (len(fits) == 1 and extra >= 0.5 * min(self.columns, self.rows)):
                 raise BoardNotFoundError(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import (
@@ -23,7 +24,7 @@ from wlr_render.captures.boards.board import (
 )
 from wlr_render.captures.boards.board_keys import BoardLength
 from wlr_render.captures.boards.dot_centres import MeasuredDots, measure_dots
-from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, DotLattice, correlated, find_dots, link_lattices
+from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, DotLattice, find_dots, link_lattices
 from wlr_render.captures.boards.lattice_shape import Discs, LatticeShape, smooth_rows
 from wlr_render.captures.photographs import Photograph
 from wlr_render.io.file_records import Key, Quantity, Rule
@@ -233,9 +234,9 @@ def _disagreeing(turned: IntArray, is_large: BoolArray, board_large: BoolArray) 
     board = np.where(board_large, 1.0, -1.0)
 
     # Dots on the board that agree minus dots that do not; and the number of dots on the board.
-    balance = correlated(board, fragment)
-    on_board = correlated(np.ones_like(board), np.abs(fragment))
-    return np.asarray(len(turned) - (balance + on_board) // 2)
+    balance = scipy.signal.correlate(board, fragment)
+    on_board = scipy.signal.correlate(np.ones_like(board), np.abs(fragment))
+    return np.asarray(len(turned) - np.rint(0.5 * (balance + on_board)), dtype=np.int64)
 
 
 def _share_as_good(disagreeing: int, count: int) -> float:

@@ -261,14 +261,3 @@ def _local_step(
     to_others = centre[[other for _, other in near]] - centre[dot]
     normal = offsets.T @ offsets + _INHERITED * np.eye(2)
     return np.linalg.solve(normal, offsets.T @ to_others + _INHERITED * inherited)
-
-
-def correlated(grid: FloatArray, part: FloatArray) -> IntArray:
-    """Return the sums of products of whole numbers (m, n) with a part (p, q) at all places where the two overlap.
-
-    The result is (m + p - 1, n + q - 1); its first has the part's last number at the grid's first.
-    """
-    shape = (grid.shape[0] + part.shape[0] - 1, grid.shape[1] + part.shape[1] - 1)
-    product = np.fft.rfft2(grid, shape) * np.fft.rfft2(part, shape).conj()
-    sums = np.roll(np.fft.irfft2(product, shape), (part.shape[0] - 1, part.shape[1] - 1), axis=(0, 1))
-    return np.asarray(np.rint(sums), dtype=np.int64)

@@ -157,7 +157,7 @@ def light_gains(
     light = [np.ones(panel.rows.size), np.zeros(panel.rows.size)]
     light += [
         np.full(panel.rows.size, np.nan) if each is None else panel.relative(each, f"photograph '{name}'")
-        for each, name in zip(source, names[2:], strict=False)
+        for each, name in zip(source, names[2:], strict=True)
     ]
     drift = _drift(np.append(taken[0], taken_white), np.append(1.0, of_white), taken)
     gain, known = drift.copy(), np.zeros(len(names), dtype=bool)

@@ -45,9 +45,10 @@ def calibrate_alignments(options: CalibrateOptions, *, progress: ProgressArgumen
         _table(found, fit),
     ]
     place, sigma = 1e3 * fit.eye_m, 1e3 * fit.eye_sigma_m
+    contradicting = f", of which the others contradict number {_numbers(fit)}," if fit.doubtful else ""
     return Report(
         f"Calibration of {found.device}, {found.eye} eye, by alignments",
-        verdict=f"{found.eye.capitalize()} eye: {len(found.pixel)} alignments{_contradicting(fit)} predict points at "
+        verdict=f"{found.eye.capitalize()} eye: {len(found.pixel)} alignments{contradicting} predict points at "
         f"1 m to {_arcmin(predicted[1])} rms, at 0.4 m to {_arcmin(predicted[0])}. One alignment errs by "
         f"{fit.hand_arcmin:.2g}' per axis; the eye is at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm, known to "
         f"({sigma[0]:.1f}, {sigma[1]:.1f}, {sigma[2]:.1f}) mm.",
@@ -95,9 +96,9 @@ def _table(found: Alignments, fit: AlignmentFit) -> ReportTable:
     return ReportTable("Alignments", columns, rows)
 
 
-def _contradicting(fit: AlignmentFit) -> str:
-    numbers = ", ".join(map(str, fit.doubtful))
-    return f", of which the others contradict number {numbers}," if numbers else ""
+def _numbers(fit: AlignmentFit) -> str:
+    """Return the numbers of the alignments that the others contradict; empty if there are none."""
+    return ", ".join(map(str, fit.doubtful))
 
 
 def _arcmin(error: float) -> str:
@@ -107,8 +108,7 @@ def _arcmin(error: float) -> str:
 def _advice(found: Alignments, fit: AlignmentFit) -> list[str]:
     distance = found.eye_box.centre[2] - found.point[:, 2]
     steps = []
-    if fit.doubtful:
-        numbers = ", ".join(map(str, fit.doubtful))
+    if numbers := _numbers(fit):
         steps.append(f"Align number {numbers} again, or remove it from {found.path}: it is in the model, and bends it.")
     if distance.max() < _RATIO * distance.min():
         steps.append(
