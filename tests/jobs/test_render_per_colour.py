@@ -79,7 +79,7 @@ def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(
         fringe[per_colour] = directions.arcmin_between(np.stack([red, blue]), green)
     centre = channels[1].eye_box.centre
     pixel = channels[1].display.pixel_of_view_dir(green[None], centre).value
-    spread = [lateral_colour(channels[1], other, centre, pixel).display[0] for other in channels[::2]]
+    spread = [lateral_colour(channels[1], other, centre, pixel)["display"][0] for other in channels[::2]]
     np.testing.assert_allclose(fringe[False], spread, rtol=0.05)
     assert fringe[False].min() > 0.6
     assert fringe[True].max() < unseen_arcmin
