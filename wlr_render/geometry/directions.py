@@ -9,7 +9,7 @@ ARCMIN = np.pi / 180 / 60
 
 
 def normalised(vector: FloatArray) -> FloatArray:
-    """Scale (..., 3) to unit length."""
+    """Scale vectors (..., 3) to unit length."""
     return np.asarray(vector / np.linalg.norm(vector, axis=-1, keepdims=True))
 
 
@@ -41,7 +41,7 @@ def arcmin_between(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def tangents_by_turn(tangents: FloatArray) -> FloatArray:
-    """Return the derivative (n, 2, 3) of the tangents (n, 2) of a direction by a turn of it about x, y, z, radians."""
+    """Return the derivative (n, 2, 3) of tangents (n, 2) by rotations of their directions about x, y, z, in radians."""
     (tx, ty), one = tangents.T, np.ones(len(tangents))
     by_turn = [[tx * ty, -(one + tx**2), -ty], [one + ty**2, -tx * ty, tx]]
     return np.moveaxis(np.array(by_turn), -1, 0)

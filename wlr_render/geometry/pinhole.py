@@ -1,4 +1,4 @@
-"""The pinhole camera of the device frame: looks along -z, y up; pixels (0, 0) at the outer corner, v down."""
+"""The pinhole camera of the device frame: it looks along -z, y up; pixel (0, 0) is the outer corner, v runs down."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -52,13 +52,13 @@ class Pinhole:
 
     @cached_property
     def image_from_camera(self) -> FloatArray:
-        """(3, 4): a point (x, y, z, 1) of the camera frame -> (u depth, v depth, depth), in pixels and metres."""
+        """Matrix (3, 4) from camera-frame points (x, y, z, 1) to (u depth, v depth, depth), in pixels and metres."""
         (focal_u, focal_v), (centre_u, centre_v) = self.focal_px, self.centre_px
         return read_only(np.array([[focal_u, 0, -centre_u, 0], [0, -focal_v, -centre_v, 0], [0, 0, -1, 0]]))
 
     @cached_property
     def camera_from_image(self) -> FloatArray:
-        """(3, 3): (u, v, 1) of a pixel -> its direction in the camera frame, scaled to z = -1."""
+        """Matrix (3, 3) from pixels (u, v, 1) to directions in the camera frame, scaled to z = -1."""
         (focal_u, focal_v), (centre_u, centre_v) = self.focal_px, self.centre_px
         rows = [[1 / focal_u, 0, -centre_u / focal_u], [0, -1 / focal_v, centre_v / focal_v], [0, 0, -1]]
         return read_only(np.array(rows))

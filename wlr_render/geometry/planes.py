@@ -15,7 +15,7 @@ _FAR_M, _STEEPEST = 1.0, 100.0  # largest distance from the headset's origin, an
 class BasePlane:
     """The points (x, y, z + slope . (x, y)), metres in the device frame, on which planar models are fitted.
 
-    A point of the plane is named by its x and y, tilted or not: (..., 2).
+    Its points are given by x and y, (..., 2), even if the plane is tilted.
 
     Attributes:
         z: metres, at x = y = 0.

@@ -7,5 +7,5 @@ ROTATION = Rule("a rotation matrix (orthogonal to 1e-6, determinant +1)", is_rot
 
 
 def pose_keys(rotation: Key, translation: Key) -> Keys:
-    """Return the form of a pose (4, 4) in a record."""
+    """Return the pair of keys that stores a pose (4, 4) in a record."""
     return Keys((rotation, translation), rigid, lambda pose: (pose[:3, :3], pose[:3, 3]))

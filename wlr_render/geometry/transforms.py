@@ -11,7 +11,7 @@ from wlr_render.numerics.arrays import FloatArray
 OPENXR_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 """Rotation from axes x right, y down, z forward to x right, y up, z backward; its own inverse."""
 FRAMES = {"openxr": np.eye(3), "opencv": OPENXR_FROM_OPENCV}
-"""Rotation from the axes that a file states to the device frame's, by the name of the axes."""
+"""Rotation to the axes of the device frame from the axes that a file uses, by the name of the latter."""
 
 
 def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:

@@ -1,1 +1,1 @@
-"""Lens models of cameras: pixels of directions, and back, with derivatives."""
+"""Camera lens models: directions to pixels and back, with derivatives."""

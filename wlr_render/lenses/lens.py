@@ -1,4 +1,4 @@
-"""What lens models have in common: their interface, their projections to a plane, and the inverse of their distortion.
+"""Common parts of lens models: their interface, projections to a plane, and the inverse of the distortion.
 
 Camera frame: OpenCV's axes (x right, y down, z forward). Pixels have (0, 0) at the outer corner of the top-left pixel.
 A lens model is an azimuthal projection of directions to a plane (gnomonic, equidistant or stereographic), followed by a
@@ -56,7 +56,7 @@ class Lens(Protocol):
         """Values (P,) of the parameters that a fit can estimate."""
 
     def with_values(self, values: FloatArray) -> "Lens":
-        """Copy of this lens with other values (P,) of its parameters."""
+        """Return a copy of this lens with other values (P,) of its parameters."""
 
     def project(self, point_in_camera: FloatArray) -> Projection:
         """Project points (n, 3), with derivatives."""
@@ -72,9 +72,9 @@ class Lens(Protocol):
 
 
 def radians_per_pixel(lens: Lens, direction: FloatArray) -> FloatArray:
-    """Return angle (n,) that one pixel spans at unit directions (n, 3), geometric mean of the two transverse axes."""
+    """Return the angle (n,) that one pixel spans at unit directions (n, 3), the geometric mean of both transverse axes."""
     slope = lens.project(direction).by_point
-    # The derivative along the direction itself is zero: the rest maps the two transverse angles to pixels.
+    # The derivative along the direction itself is zero: only the two transverse angles move the pixel.
     return np.asarray(np.linalg.det(slope @ np.swapaxes(slope, 1, 2)) ** -0.25)
 
 
@@ -112,12 +112,12 @@ class Azimuthal:
     """An azimuthal projection with unit scale at the centre.
 
     Attributes:
-        scale: (distance from the axis, z) -> distance from the centre of the plane over that from the axis; NaN or
-            infinite for points without a position.
+        scale: (distance from the axis, z) -> ratio of the distance from the plane's centre to the distance from the
+            axis; NaN or infinite for points without a position.
         growth: (distance from the axis, z) -> derivative of the distance from the centre by the angle from the axis.
         direction: positions (..., 2) in the plane -> unit directions (..., 3).
         angle: distance from the centre -> angle from the axis.
-        largest_radius: bound of the distance from the centre.
+        largest_radius: upper bound of the distance from the centre.
     """
 
     scale: _Profile
@@ -132,7 +132,7 @@ class Azimuthal:
         scale = self.scale(np.hypot(point[:, 0], point[:, 1]), point[:, 2])
         return np.asarray(point[:, :2] * scale[:, None])
 
-    @np.errstate(divide="ignore", invalid="ignore")  # on the axis
+    @np.errstate(divide="ignore", invalid="ignore")  # division by 0 on the axis
     def by_point(self, point: FloatArray) -> FloatArray:
         """Return the derivative (n, 2, 3) of `position`."""
         from_axis, z = np.hypot(point[:, 0], point[:, 1]), point[:, 2]

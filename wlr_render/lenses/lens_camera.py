@@ -30,24 +30,24 @@ LENS_KINDS = {
 """Names of each kind's distortion terms, in OpenCV's order. OpenCV's fisheye model is due to J. Kannala and
 S. S. Brandt, IEEE Transactions on Pattern Analysis and Machine Intelligence 28 (2006) 1335."""
 
-# Places of each kind's terms among `_Distortion.terms`
+# Indices of each kind's terms in `_Distortion.terms`
 _PLACES = {kind: list(range(len(terms))) for kind, terms in LENS_KINDS.items()} | {"fisheye": [0, 1, 4, 12]}
 
 _START_RADII = 2000  # radii in the table of first guesses: two or three steps of Newton's method then suffice
 _WIDEST_START_DEG = 89.9  # largest angle of the table, where the model has no other limit
-_NEGLIGIBLE = 1e-30  # a leading coefficient of a polynomial of degree 17 without influence below 89 degrees
+_NEGLIGIBLE = 1e-30  # leading coefficient of a polynomial of degree 17 that has no effect below 89 degrees
 
 
 @dataclass(frozen=True, eq=False)
 class LensCamera:
     """A camera with lens distortion.
 
-    Points that the model cannot see are NaN: behind a perspective camera, and at angles from the axis from
-    `angle_limit` on. So a point far outside the picture is never projected into it.
+    Points that the model cannot see become NaN: points behind a perspective camera, and points at `angle_limit` or
+    more from the axis. A point far outside the picture is therefore never projected into it.
 
     Attributes:
         size_px: width and height.
-        focal_px: (2,) pixels per unit tangent in u and v; of a fisheye lens, pixels per radian.
+        focal_px: (2,) pixels per unit tangent in u and v; for a fisheye lens, pixels per radian.
         centre_px: (2,) principal point.
         distortion: the terms that `LENS_KINDS` names. The perspective kinds give distorted tangents as a function of
             true tangents (D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37 (1971) 855, and
@@ -91,11 +91,11 @@ class LensCamera:
         return np.concatenate([self.focal_px, self.centre_px, self.distortion])
 
     def with_values(self, values: FloatArray) -> "LensCamera":
-        """Copy of this camera with other values (P,) of its parameters."""
+        """Return a copy of this camera with other values (P,) of its parameters."""
         return LensCamera(self.size_px, values[:2], values[2:4], values[4:], self.kind)
 
     def as_kind(self, kind: str) -> "LensCamera":
-        """Return this camera as one of a kind whose terms begin with its own; the further terms are 0."""
+        """Convert this camera to a kind that adds terms to those of its own kind; the added terms are 0."""
         more = len(LENS_KINDS[kind]) - len(self.distortion)
         return LensCamera(self.size_px, self.focal_px, self.centre_px, np.pad(self.distortion, (0, more)), kind)
 
@@ -138,7 +138,7 @@ class LensCamera:
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
         """Return the undistorted tangents (..., 2) of pixels (..., 2); NaN where the distortion has no inverse.
 
-        NaN also for directions at 90 degrees and more from the optical axis.
+        Also NaN for directions at 90 degrees or more from the optical axis.
         """
         if self._plane is GNOMONIC:
             return self._position_of_pixel(pixel)
@@ -179,7 +179,7 @@ class LensCamera:
 
 
 def _filled(rows: FloatArray, chosen: BoolArray) -> FloatArray:
-    """Return the array with `rows` at the chosen places and NaN elsewhere."""
+    """Return an array with `rows` where `chosen` is True and NaN elsewhere."""
     result = np.full((len(chosen), *rows.shape[1:]), np.nan)
     result[chosen] = rows
     return result
@@ -223,7 +223,7 @@ class _Distortion:
         return (1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * self.terms[12])))) / below, below
 
     def image(self, position: FloatArray) -> FloatArray:
-        """Return the distorted positions (n, 2) of positions (n, 2); NaN from `limit` on."""
+        """Return the distorted positions (n, 2) of positions (n, 2); NaN at radii from `limit` on."""
         _, _, p1, p2 = self.terms[:4]
         s1, s2, s3, s4 = self.terms[8:12]
         x, y = position.T
@@ -232,7 +232,7 @@ class _Distortion:
         return np.stack([x * factor + r2 * (p2 + s1 + r2 * s2), y * factor + r2 * (p1 + s3 + r2 * s4)], axis=1)
 
     def image_and_slope(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the same as `image`, and its Jacobian (n, 2, 2)."""
+        """Return the result of `image` and its Jacobian (n, 2, 2)."""
         k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, ninth = self.terms
         x, y = position.T
         r2 = self._squared(position)

@@ -1,7 +1,7 @@
-"""A lens model with its residual distortion, a smooth field of displacements over the picture.
+"""A lens model with residual distortion: a smooth field of displacements over the picture.
 
 Source of the idea: T. Schoeps et al., "Why having 10,000 parameters in your camera model is better than twelve",
-CVPR 2020. Models of few terms differ from real lenses by a systematic part of a pixel, and boards show it.
+CVPR 2020. Models with few terms differ from real lenses by a systematic fraction of a pixel, as boards show.
 """
 
 from dataclasses import dataclass, replace
@@ -15,17 +15,17 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.smooth_field import SmoothField
 
 RESIDUAL = "residual"
-"""Name of the amplitudes among the names of a lens' parameters."""
+"""Parameter name of the amplitudes."""
 _WAVES = 9, 7  # half waves along the sides of the picture: finer residuals average out over a board
-_FALL = 0.1  # fall of a wave's size with each half wave: residuals of lenses are not smoother than their terms
-_STEP_PX = 1e-3  # step of the differences that give the slope
-_GRID = 25  # places along a side, at which the field's size is measured
-_ROUNDS, _CLOSE_PX = 8, 1e-3  # rounds of the inverse, and its last step: flat fields need three, steep ones have none
+_FALL = 0.1  # decrease of log prior size per half wave: residuals are no smoother than the lens model's terms
+_STEP_PX = 1e-3  # step of the finite differences of the slope
+_GRID = 25  # samples along each side for the field's rms
+_ROUNDS, _CLOSE_PX = 8, 1e-3  # iterations of the inverse, last step: flat fields need 3, steep ones have no inverse
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualLens:
-    """A lens model whose pixels a smooth field over the picture displaces.
+    """A lens model with pixels displaced by a smooth field over the picture.
 
     Attributes:
         model: the lens model.
@@ -73,7 +73,7 @@ class ResidualLens:
         return np.concatenate([self.model.values, self.residual_px.ravel()])
 
     def with_values(self, values: FloatArray) -> "ResidualLens":
-        """Copy of this lens with other values (P,) of its parameters."""
+        """Return a copy of this lens with other values (P,) of its parameters."""
         count = len(self.model.values)
         return replace(self, model=self.model.with_values(values[:count]), residual_px=values[count:].reshape(-1, 2))
 
@@ -115,7 +115,7 @@ class ResidualLens:
         return self.model.tangents_of_pixel(self._pixel_of_model(pixel))
 
     def _pixel_of_model(self, pixel: FloatArray) -> FloatArray:
-        """Return the model's pixels (..., 2) that the field displaces to these."""
+        """Return the model's pixels (..., 2) that the field displaces to `pixel`."""
         pixel = np.asarray(pixel, dtype=np.float64)
         if not np.any(self.residual_px):
             return pixel
@@ -125,11 +125,11 @@ class ResidualLens:
         return np.where(np.abs(found - before) < _CLOSE_PX, found, np.nan)
 
     def _displacement(self, pixel: FloatArray) -> FloatArray:
-        """(..., 2) pixels, at the model's pixels (..., 2)."""
+        """Return the displacement (..., 2) in pixels at the model's pixels (..., 2)."""
         return (self.field.waves(pixel.reshape(-1, 2)) @ self.residual_px).reshape(pixel.shape)
 
     def _slope(self, pixel: FloatArray) -> FloatArray:
-        """(n, 2, 2) derivative of the displacement by the model's pixels (n, 2)."""
+        """Return the derivative (n, 2, 2) of the displacement by the model's pixels (n, 2)."""
         if not np.any(self.residual_px):
             return np.zeros((len(pixel), 2, 2))
         steps = _STEP_PX * np.eye(2)[:, None]
@@ -139,6 +139,6 @@ class ResidualLens:
 
 @lru_cache
 def _field(size_px: tuple[int, int], counts: tuple[int, int]) -> SmoothField:
-    """Return the field of lenses of one size, of which a fit makes many."""
+    """Return the field of a picture size, cached: a fit creates many lenses of one size."""
     width, height = size_px
     return SmoothField((0.0, 0.0), (float(width), float(height)), counts, _FALL)

@@ -96,7 +96,7 @@ class SplinedLens:
         return STEREOGRAPHIC.direction(position.reshape(distorted.shape))
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Return the tangents (..., 2) of pixels (..., 2); NaN without one, and from 90 degrees off the axis on."""
+        """Return the tangents (..., 2) of pixels (..., 2); NaN without tangents, as at 90 degrees or more."""
         direction = self.dir_of_pixel(pixel)
         return GNOMONIC.position(direction.reshape(-1, 3)).reshape(*direction.shape[:-1], 2)
 
@@ -122,7 +122,7 @@ class SplinedLens:
 
     @cached_property
     def _starts(self) -> "tuple[FloatArray, scipy.spatial.cKDTree]":
-        """Positions that the model sees, and a tree of their images."""
+        """Positions that the model sees, and a k-d tree of their images."""
         first = 0.5 * (self.order - 1)
         x, y = (np.linspace(first, n - 1 - first, int(_STARTS_PER_KNOT * (n - self.order)) + 1) for n in self._counts)
         index = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
