@@ -1,4 +1,4 @@
-"""How well a bench model predicts a session that it was not fitted to: by part, target distance and capture.
+"""Prediction of a session by a bench model that was not fitted to it: errors by part, target distance and capture.
 
 Noise and repeatability are measured as in a diagnosis (`noise`, `scatter`); no cause is fitted. The errors
 of the bench's effects, as their covariances state them, are errors of all readings in common.
@@ -24,28 +24,28 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.scatter import LOG10_ODDS, UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter
 from wlr_render.numerics.scatter_search import best_scatter
 
-_FEW = 400  # readings by which the principal errors are chosen
+_FEW = 400  # number of readings from which the principal errors are chosen
 _TELLING = 0.02  # rms change of the readings, in sigma, below which an error is left out
-_DECIMALS = 6  # decimals of changes in sigma; viewing directions are solved to no more
-_NEGLIGIBLE = 1e-6  # variance of coefficients, relative to the largest of their effect, below which they have no error
+_DECIMALS = 6  # decimals kept of changes in sigma: the precision of the solved viewing directions
+_NEGLIGIBLE = 1e-6  # variance of coefficients, relative to the largest of their effect, that counts as zero
 
 
 @dataclass(frozen=True)
 class PredictedGroup:
-    """Prediction errors of some readings of one part. No value is fitted to them.
+    """Prediction errors of some readings of one part. No value is fitted to these readings.
 
     Attributes:
-        name: of the readings.
-        part: of the session.
-        captures, readings: how many.
+        name: name of the readings.
+        part: part of the session.
+        captures, readings: numbers of captures and of readings.
         rms_arcmin: residual, rms per axis.
         mean_arcmin: mean residual, right and down.
         noise_arcmin: stated noise per axis.
         effects_arcmin: standard error of the prediction per axis, rms, from the covariances of the bench's effects.
         reduced_chi_squared: mean square of the residual over the stated variance.
-        whitened: mean square of the residual over the measured variance, less the motions of the camera that the
-            repeatability admits, and of the errors of the bench's effects.
-        by_own_bench: reduced chi-squared by the session's own bench; None if that is not known.
+        whitened: mean square of the whitened residual: over the measured variance, less the camera motions that the
+            repeatability allows and the errors of the bench's effects.
+        by_own_bench: reduced chi-squared with the session's own bench; None if that bench is not known.
     """
 
     name: str
@@ -69,7 +69,7 @@ class PredictedPart(PredictedGroup):
         is_noise: whether noise plus the usual repeatability of stages explains the residual; a motion common to all
             captures is an error of the bench.
         shift_um, turn_urad: repeatability: standard deviations of the camera's position and rotation per axis; None
-            where one capture cannot show it, and at run time.
+            for a single capture and at run time.
     """
 
     is_noise: bool
@@ -82,14 +82,14 @@ class BenchPrediction:
     """Comparison of a session with the prediction of a bench.
 
     Attributes:
-        session: its name.
-        reduced_chi_squared: of all readings against the stated noise.
-        by_own_bench: the same by the session's own bench; None if that is not known.
-        without_slip: the same without the slip that the bench states; None without one.
-        parts, distances, captures: prediction errors of each.
-        outliers: number of readings far from their neighbours in the photograph; no figure contains them.
-        unseen: number of readings for which the bench predicts nothing.
-        observations: the readings that are predicted.
+        session: name of the session.
+        reduced_chi_squared: reduced chi-squared of all readings with the stated noise.
+        by_own_bench: the same with the session's own bench; None if that bench is not known.
+        without_slip: the same without the slip that the bench states; None if it states none.
+        parts, distances, captures: prediction errors of each part, target distance and capture.
+        outliers: number of readings far from their neighbours in the photograph; no figure includes them.
+        unseen: number of readings that the bench does not predict.
+        observations: the predicted readings.
         residual: (n, 2) measured minus predicted, in units of the stated sigma.
         used: (n,) mask of the readings that are not outliers.
     """
@@ -117,7 +117,7 @@ def predict_session(bench: Bench, session: Session, own: Bench | None = None) ->
     """Compare the readings of a session with the prediction of a bench; one capture is enough.
 
     Args:
-        bench: with the target poses of the session (`session_folder.bench_for_session`).
+        bench: bench with the target poses of the session (`session_folder.bench_for_session`).
         session: the session.
         own: the session's own bench, for comparison.
 
@@ -178,9 +178,9 @@ def predict_session(bench: Bench, session: Session, own: Bench | None = None) ->
 
 
 def _about_common_motions(readings: WeighedReadings, found: Fit) -> tuple[Scatter, set[int]]:
-    """Return how captures scatter about a motion common to their part, and the parts that clearly have such a motion.
+    """Return the scatter of captures about the common motion of their part, and the parts with a clear common motion.
 
-    Such a motion is an error of the bench, which repeatability alone would hide: captures scatter about zero.
+    A common motion is an error of the bench. A scatter about zero would count it as repeatability.
     """
     observations, scatter, systematic = readings.observations, found.scatter, set[int]()
     for part in np.unique(observations.part[observations.part != RUN_TIME]):
@@ -208,15 +208,15 @@ def _group(
     name: str,
     rows: BoolArray,
 ) -> PredictedGroup:
-    """Return the figures of some readings of one part.
+    """Return the prediction errors of some readings of one part.
 
     Args:
         observations: all readings.
-        residual, by_own: (n, 2) by the bench and by the session's own, in units of the stated sigma.
-        white: (n, 2) by the bench, whitened.
-        effects: (n, 2) standard errors by the bench's effects, in units of the stated sigma.
-        name: of the readings.
-        rows: mask (n,) of them.
+        residual, by_own: (n, 2) residual with the bench and with the session's own, in units of the stated sigma.
+        white: (n, 2) whitened residual with the bench.
+        effects: (n, 2) standard errors from the bench's effects, in units of the stated sigma.
+        name: name of the readings.
+        rows: mask (n,) of the readings.
     """
     part = int(observations.part[rows][0])
     mine = rows[observations.part == part]
@@ -240,7 +240,7 @@ def _group(
 
 
 def _mean_square(residual: FloatArray, rows: BoolArray) -> float:
-    """Return the mean square per axis over the predicted ones of some readings (n,); NaN if none is."""
+    """Return the mean square per axis over the predicted readings in a mask (n,); NaN if none is predicted."""
     values = residual[rows]
     values = values[np.isfinite(values).all(axis=1)]
     return float(np.mean(values**2)) if len(values) else float("nan")
@@ -249,8 +249,8 @@ def _mean_square(residual: FloatArray, rows: BoolArray) -> float:
 def effect_errors(predictor: Predictor) -> FloatArray:
     """Return the change (n, 2, k) of the predicted readings, in sigma, by the principal errors of the bench's effects.
 
-    Each is one standard error; they are independent, as the effects of a bench are of each other. Effects without a
-    covariance are exact.
+    Each principal error is one standard error and independent of the others, because the effects of a bench are
+    independent of each other. Effects without a covariance are exact.
     """
     effects = predictor.observations.nominal.effects
     roots = [_root(effect) for effect in effects]
@@ -261,7 +261,7 @@ def effect_errors(predictor: Predictor) -> FloatArray:
         return nothing
 
     def change(by: Predictor, errors: FloatArray) -> FloatArray:
-        """Return the change (n, 2) of the readings by errors (count,) of all effects."""
+        """Return the change (n, 2) of the readings for errors (count,) of all effects."""
         parts = np.split(errors, ends[:-1])
         moved = (_moved(*each) for each in zip(effects, roots, parts, strict=True))
         bench = replace(by.observations.nominal, effects=tuple(moved))
@@ -276,7 +276,7 @@ def effect_errors(predictor: Predictor) -> FloatArray:
 
 
 def _root(effect: BenchEffect) -> FloatArray:
-    """Return a root (p, k) of the covariance of an effect's coefficients."""
+    """Return a square root (p, k) of the covariance of an effect's coefficients."""
     if effect.covariance is None:
         return np.zeros((0, 0))
     values, axes = np.linalg.eigh(effect.covariance)
@@ -285,7 +285,7 @@ def _root(effect: BenchEffect) -> FloatArray:
 
 
 def _moved(effect: BenchEffect, root: FloatArray, errors: FloatArray) -> BenchEffect:
-    """Return the effect with errors (k,) of its coefficients, in standard errors."""
+    """Return the effect with errors (k,), in standard errors, added to its coefficients."""
     function = effect.function
     if not errors.any() or isinstance(function, AnyFunction):
         return effect

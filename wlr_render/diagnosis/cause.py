@@ -1,6 +1,6 @@
 """A cause: a named change of the bench model with parameters.
 
-A new cause is an entry in the tuple of its subject's file in `causes/`, or one of the user's own
+To add a cause, add an entry to the tuple in its subject's file in `causes/`; users can add their own
 (`causes.user_causes`). Everything else (Jacobian, fit, ranking, report) follows from `perturb`.
 """
 
@@ -27,7 +27,7 @@ def turn(degrees: FloatArray) -> FloatArray:
 
 
 def changed(part: str, field: str, change: Callable[[Any, FloatArray], Any]) -> Perturb:
-    """Return a change of a field of a part of the bench: `change` maps its value and the parameters to a new value."""
+    """Return a `Perturb` of one field of a part: `change` maps the field's value and the parameters to a new value."""
 
     def perturb(bench: Bench, values: FloatArray) -> Bench:
         old = getattr(bench, part)
@@ -40,9 +40,9 @@ def changed(part: str, field: str, change: Callable[[Any, FloatArray], Any]) -> 
 class Role(Enum):
     """Role of a parameter in a cause."""
 
-    SIZE = "size"  # null value 0: at 0 the cause has no effect
-    SHAPE = "shape"  # shapes an effect whose size is not 0, and is fitted from each of its starts
-    TIME = "time"  # a time between two captures, searched for
+    SIZE = "size"  # size of the effect: at 0, its null value, the cause has no effect
+    SHAPE = "shape"  # shape of an effect of nonzero size; fitted from each of its starts
+    TIME = "time"  # time between two captures; found by a search
 
 
 @dataclass(frozen=True)
@@ -50,15 +50,15 @@ class Parameter:
     """One number of a cause.
 
     Attributes:
-        name: within the cause.
-        unit: of its values.
+        name: name within the cause.
+        unit: unit of its values.
         prior_sigma: standard deviation of the values met in practice, in that unit.
-        role: see `Role`.
-        starts: first values of a SHAPE parameter; the first one is its null value, and the expected value.
-        minimum: values below are not physical.
-        prior_mean: expected value of a SIZE parameter; 0 still means no effect, whatever value is expected.
-        in_bench: the whole quantity in a bench, in the unit, where a bench file may state some of it already; then this
-            must not be below `minimum`. None where the value is the whole.
+        role: role in the cause.
+        starts: start values of a SHAPE parameter; the first one is its null value and its expected value.
+        minimum: smallest physical value.
+        prior_mean: expected value of a SIZE parameter; 0 still means no effect.
+        in_bench: total value of the quantity in a bench, in the unit, where a bench file may already state a part of
+            it; `minimum` then applies to this total. None where the parameter is the total.
     """
 
     name: str
@@ -92,16 +92,16 @@ class Cause:
     """A physical cause of a difference between measurement and simulation.
 
     Attributes:
-        name: the key in reports.
+        name: key in reports.
         title: physical name.
-        part: of the bench, one of `PARTS`.
-        parameters: its numbers.
-        source: where the prior sigmas come from.
+        part: part of the bench on which it acts, one of `PARTS`.
+        parameters: its parameters.
+        source: source of the prior sigmas.
         separated_by: the extra measurement that separates it from degenerate causes.
         variants: ways in which it may act, by name; the first is the usual one.
-        remedy: what to do about it, where that is more than for any cause of its part; empty otherwise.
-        whole_steps: its values are multiples of this in the parameters' unit, or it is something else; None for any.
-        own_station: where it acts, if that is not the station of its part.
+        remedy: its remedy; empty if the usual remedy of its part is enough.
+        whole_steps: step of its values, in the parameters' unit: only multiples are possible. None for any value.
+        own_station: station at which it acts, if not that of its part.
     """
 
     name: str
@@ -117,7 +117,7 @@ class Cause:
 
     @property
     def station(self) -> str:
-        """Station at which it acts: fields of that station are its rivals."""
+        """Station at which the cause acts; the fields of that station are its rivals."""
         return self.own_station or _STATIONS[self.part]
 
     @property
@@ -126,7 +126,7 @@ class Cause:
         return any(parameter.role is not Role.SIZE for parameter in self.parameters)
 
     def perturb(self, bench: Bench, values: FloatArray, variant: str | None = None) -> Bench:
-        """Return the bench with this cause at work; `values` (parameters,) in their units."""
+        """Return the bench with this cause applied; `values` (parameters,) are in their units."""
         return self.variants[variant or next(iter(self.variants))](bench, values)
 
     def null(self) -> FloatArray:
@@ -137,15 +137,15 @@ class Cause:
 def with_priors(
     causes: Mapping[str, Cause], priors: Mapping[str, Mapping[str, tuple[float, float]]]
 ) -> dict[str, Cause]:
-    """Return the causes with stated priors of some of their parameters.
+    """Return the causes with stated priors for some of their parameters.
 
     Args:
-        causes: by name.
+        causes: causes by name.
         priors: (mean, sigma) by name of the cause and of the parameter, in the parameter's unit. The mean of a SHAPE
-            parameter takes the place of its starts.
+            parameter replaces its starts.
 
     Raises:
-        BadInputError: an unknown cause or parameter, a prior of a time, or a mean below the parameter's minimum.
+        BadInputError: an unknown cause or parameter, a prior for a time, or a mean below the parameter's minimum.
     """
     changed = dict(causes)
     for name, stated in priors.items():
@@ -177,7 +177,7 @@ def _with_prior(name: str, parameter: Parameter, prior: tuple[float, float] | No
 
 
 def unknown_cause(name: str, causes: Mapping[str, Cause]) -> str:
-    """Return a sentence on a name that no cause has, with the nearest names, or all of them where none is near."""
+    """Return the message for an unknown cause name; it suggests close names, or lists all names if none is close."""
     near = difflib.get_close_matches(name, causes, 3)
     return f"There is no cause '{name}'; " + (
         f"did you mean {' or '.join(near)}?" if near else f"choose from {', '.join(causes)}."

@@ -1,7 +1,7 @@
-"""Forward selection of causes by evidence: add the best candidate while the odds for it are good.
+"""Forward selection of causes by evidence: add the best candidate while the odds favour it.
 
-Candidates are compared on a subsample of the readings first: all to first order, the best by a fit from their best
-start. Those that come close are fitted again to all readings. Sizes of noise and motions are found for each candidate.
+Candidates are first compared on a subsample of the readings: all to first order, then the best by a fit from their
+best start. Close candidates are fitted again to all readings. Each candidate has its own sizes of noise and motions.
 Where a field at a station explains far more than all causes together, no cause is fitted alone: effects are located
 first, then causes are fitted together with these effects.
 """
@@ -34,9 +34,9 @@ Progress = Callable[[str], None]
 
 _NOTHING_MORE = "no other cause makes the readings more probable"
 _FIELD_FIRST = "an effect of another shape than all causes explains more than they do together"
-_FAR_MORE = 1.5  # times what causes gain to first order: beyond it they may gain as much again
-_SHAPED = 2  # causes of a shape that are fitted all the same
-_NOTABLE = 1e-3  # least reduction, as a share of the noise variance, of a part on which a cause acts
+_FAR_MORE = 1.5  # least ratio of a field's gain to the causes' first-order gain: a full fit of causes may gain more
+_SHAPED = 2  # most causes with SHAPE parameters that are fitted although a field explains far more
+_NOTABLE = 1e-3  # least reduction of a part's excess variance, over the noise variance, if a cause acts on the part
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +44,11 @@ class CandidateRanking:
     """The candidates for one more cause.
 
     Attributes:
-        current: the fit to which it would be added.
-        screened: the gain of each hypothesis on the subsample to first order; largest first.
-        fits: of candidates to all readings, best first, one per cause in its best variant; the last cause is the
+        current: the fit to which the cause would be added.
+        screened: first-order gain of each hypothesis on the subsample; largest first.
+        fits: fits of candidates to all readings, best first, one per cause in its best variant; the last cause is the
             candidate.
-        rough: likewise, of all candidates that were fitted to the subsample.
+        rough: likewise, fits of candidates to the subsample.
         field_gain: fall of -2 log evidence of the subsample by a field that explains far more than all causes together;
             0 without such a field.
     """
@@ -65,7 +65,7 @@ class Selection:
     """The result of a selection.
 
     Attributes:
-        fit: of all causes.
+        fit: fit of all causes.
         first: the candidates for the first cause.
         reason: why no further cause was added.
     """
@@ -81,13 +81,13 @@ class Search:
 
     Attributes:
         full: all readings.
-        subsample: some, for the first comparison.
+        subsample: some readings, for the first comparison.
         hypotheses: the candidates.
         progress: called with a sentence at each step.
         settings: thresholds.
-        fields: at the stations, over the subsample.
-        spot: on the combiner, of which there are finer fields.
-        simulated: signatures of the hypotheses on the subsample, if they are known.
+        fields: fields at the stations, over the subsample.
+        spot: spot on the combiner with finer fields.
+        simulated: signatures of the hypotheses on the subsample, if already known.
     """
 
     full: WeighedReadings
@@ -112,13 +112,13 @@ class Search:
         return FieldContest(self.subsample, at, self.fields, self.signatures.fixed)
 
     def with_effects(self, effects: Sequence[LocatedEffect], beside: Explanation, constants: bool) -> "Search":
-        """Return the same search with located effects at work, whatever their coefficients.
+        """Return the same search with located effects of unknown coefficients.
 
         Args:
             effects: the effects.
-            beside: causes; at their station an effect is made orthogonal to the causes' effects, so that their values
-                stay determined.
-            constants: whether an effect of the stage or of time has a constant as well, which may be a cause's.
+            beside: causes; an effect at the station of a cause is made orthogonal to the cause's effect, so that the
+                values of the cause stay determined.
+            constants: whether an effect of the stage or of time keeps its constant, which a cause may explain.
         """
         located = [each.field for each in effects]
         each_with_fields = [(self.subsample, self.fields)]
@@ -134,7 +134,7 @@ class Search:
         return replace(self, full=searched[-1], subsample=searched[0], simulated=self.signatures)
 
     def select(self, start: Explanation = Explanation()) -> Selection:  # noqa: B008
-        """Add causes to some while each is worth it; restart from runners-up where the first was not the last."""
+        """Add causes while each is worth it; if several were added, restart from the runners-up of the first place."""
         first = self.rank(self.refitted(start, Scatter.usual(len(self.full.observations.captures))))
         best = self._grown(first)
         if len(best.fit.explanation.hypotheses) > 1:
@@ -146,16 +146,16 @@ class Search:
         return best
 
     def on_subsample(self, found: Fit) -> Fit:
-        """Fit noise and motions to the subsample, at the values of a fit to all readings."""
+        """Fit noise and motions to the subsample, with the values of a fit to all readings."""
         at = found.at if self.full.predictor is self.subsample.predictor else None
         return _fitted(self.subsample, found.explanation, found.scatter, 0, at)
 
     def refitted(self, explanation: Explanation, scatter: Scatter) -> Fit:
-        """Fit to all readings, with the captures that moved found anew."""
+        """Fit to all readings; find again which captures moved."""
         return self._with_moved(_fitted(self.full, explanation, scatter))
 
     def _with_moved(self, found: Fit) -> Fit:
-        """Fit all readings, with the captures that moved found anew."""
+        """Find again which captures moved, and refit to all readings if they changed."""
         again, _ = with_moved_captures(self.full.sums_at(found.at), found.scatter)
         if np.array_equal(again.moved, found.scatter.moved):
             return found
@@ -163,7 +163,7 @@ class Search:
         return refit if refit.minus_two_log_evidence < found.minus_two_log_evidence else found
 
     def _grown(self, start: CandidateRanking) -> Selection:
-        """Add one cause after the other."""
+        """Add causes one at a time until the next one is refused."""
         at, most = start, self.settings.max_causes
         while True:
             if len(at.current.explanation.hypotheses) >= most:
@@ -174,7 +174,7 @@ class Search:
             at = self.rank(self.pruned(self._with_moved(at.fits[0])))
 
     def rank(self, current: Fit) -> CandidateRanking:
-        """Rank the causes that are not yet at work."""
+        """Rank the causes that are not yet selected."""
         taken = set(current.explanation.names)
         at = self.on_subsample(current)
         contest = self.contest(at)
@@ -199,7 +199,7 @@ class Search:
     def _candidates(
         self, at: Fit, screened: Sequence[ScreenedHypothesis], field_gain: float
     ) -> tuple[list[Fit], list[Fit]]:
-        """Fits of the hypotheses that are worth one, best first: to all readings, and to the subsample."""
+        """Return fits of the promising hypotheses, best first: to all readings, and to the subsample."""
         settings = self.settings
         if not screened or screened[0].gain < HOPELESS:
             return [], []
@@ -208,7 +208,7 @@ class Search:
         most = settings.max_fits if LOG10_ODDS * screened[0].gain > settings.least_log10_odds else 1
         kept = [each for each in screened if each.gain >= least][:most]
         if field_gain:
-            # Only effects whose shape is fitted, too, may gain more than to first order.
+            # Only effects with a fitted shape can gain more than their first-order gain.
             kept = [*kept[:1], *(each for each in kept[1:] if each.hypothesis.cause.is_shaped)][: _SHAPED + 1]
         self.progress(f"fitting {', '.join(sorted({each.hypothesis.cause.name for each in kept}))}")
         rough = _possible((best_fit(self.subsample, at, each) for each in kept), settings)
@@ -238,7 +238,7 @@ class Search:
         return replace(at, current=again)
 
     def _refusal(self, at: CandidateRanking) -> str:
-        """Return why the best candidate is not worth adding; empty if it is."""
+        """Return the reason against adding the best candidate; empty if it is worth adding."""
         if not at.fits:
             return _FIELD_FIRST if at.field_gain else _NOTHING_MORE
         best, name = at.fits[0], at.fits[0].explanation.names[-1]
@@ -256,10 +256,10 @@ class Search:
         return ""
 
     def _share_explained(self, before: Fit, after: Fit) -> float:
-        """Share of the excess over the noise that is explained, in the part where it is most; 1 where none is left.
+        """Return the largest share of a part's excess over the noise that is explained; 1 where only noise is left.
 
         If an unlisted effect is present, a cause that explains little is more often a spurious match than a true one.
-        Captures that moved whatever the cause do not count.
+        Captures that moved in both fits are not counted.
         """
         shares, counted = [0.0], ~(before.scatter.moved & after.scatter.moved)
         for part in np.unique(self.full.observations.part):
@@ -270,7 +270,7 @@ class Search:
         return max(shares)
 
     def pruned(self, found: Fit) -> Fit:
-        """Leave out every cause that a later one has made idle."""
+        """Drop every cause that a later one has made redundant."""
         for place in reversed(range(len(found.explanation.hypotheses) - 1)):
             if self._loss_without(found, place) > self.settings.close_evidence:
                 continue
@@ -287,7 +287,7 @@ class Search:
 
 
 def _beyond(effect: LocatedEffect, at: Linearisation, readings: WeighedReadings, constants: bool) -> FloatArray:
-    """Return the functions (n, 2, c) of an effect, orthogonal to causes of the same station; see `with_effects`."""
+    """Return the functions (n, 2, c) of an effect, made orthogonal to causes of its station; see `with_effects`."""
     functions = effect.acting.columns
     if not constants and effect.field.station in ELSEWHERE:
         functions = functions * (effect.acting.order > 0)
@@ -309,7 +309,7 @@ def _fitted(
     iterations: int = 12,
     at: Linearisation | None = None,
 ) -> Fit:
-    """Fit from an explanation's values, or from its null values where the former do not predict every reading."""
+    """Fit from an explanation's values, or from its null values if those do not predict every reading."""
     found = fit(readings, explanation, scatter, iterations, at=at)
     if found is None:
         null = replace(explanation, values=tuple(each.cause.null() for each in explanation.hypotheses))
@@ -319,13 +319,13 @@ def _fitted(
 
 
 def _possible(fits: Iterable[Fit | None], settings: Settings) -> list[Fit]:
-    """Return the fits whose values are physical, in the order of their evidence."""
+    """Return the fits with physical values, best evidence first."""
     possible = (each for each in fits if each is not None and is_physical(each, settings))
     return sorted(possible, key=lambda each: each.minus_two_log_evidence)
 
 
 def _best_of_each(fits: Sequence[Fit]) -> list[Fit]:
-    """Return the first of the fits with each last cause."""
+    """Return the first fit for each last cause."""
     firsts: dict[str, Fit] = {}
     for each in fits:
         firsts.setdefault(each.explanation.names[-1], each)

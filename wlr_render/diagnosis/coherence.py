@@ -2,7 +2,7 @@
 
 A smooth surface is subtracted from every photograph. The residual is noise, independent from one capture to the next,
 unless a fine structure is fixed to a station: then residuals of different captures in one cell of that station have a
-mean. The station whose cells have means at the best odds is where the effect is; the means are its picture.
+common mean. The effect is at the station with the best odds for such means; the means are a map of the effect.
 """
 
 from collections import Counter
@@ -24,25 +24,25 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.cells import cells_of
 from wlr_render.numerics.polynomial import Box
 
-_CLIP, _CLIP_OF_REST = 4.0, 8.0  # sigma: a wild reading counts no more than this, and in later rounds
-_MOST_LEVERAGE = 0.8  # leverage of a reading on its photograph's surface beyond which its residual says nothing
+_CLIP, _CLIP_OF_REST = 4.0, 8.0  # sigma at which residuals are clipped in the first round, and in later ones
+_MOST_LEVERAGE = 0.8  # leverage of a reading on its photograph's surface beyond which its residual is not used
 _COORDINATES = {
     "combiner": ("place on the combiner", "mm"),
     "camera": ("camera pixels", "px"),
     "panel": ("panel pixels", "px"),
     "target": ("place on the target", "mm"),
 }
-_CELLS_MM = (0.5, 1.0, 2.0)  # on the combiner
-_CELLS_PANEL = (80, 160)  # over the panel's width
-_CELLS_CAMERA = (80, 160)  # over the image's width
+_CELLS_MM = (0.5, 1.0, 2.0)  # widths of cells on the combiner
+_CELLS_PANEL = (80, 160)  # numbers of cells across the panel
+_CELLS_CAMERA = (80, 160)  # numbers of cells across the image
 _FOLDS, ROUNDS = 4, (1, 4)
-_FEWEST_CAPTURES = 4  # captures of a part in which cells are compared
-_PREDICTS = 2.0  # standard errors by which captures left out must be predicted better, where the odds leave a doubt
-_SPOT, _MOSTLY = 4.0, 0.5  # widths of cells around a spot, and the share of the power that makes it one
-_BOX, _FEWEST_CELLS = 3.5, 3.0  # half a box around a spot, in its rms radii, and in cells at least
+_FEWEST_CAPTURES = 4  # fewest captures of a part in which cells are compared
+_PREDICTS = 2.0  # standard errors by which held-out captures must be predicted better, where the odds leave doubt
+_SPOT, _MOSTLY = 4.0, 0.5  # radius of a spot in cell widths, and the share of the power that it must contain
+_BOX, _FEWEST_CELLS = 3.5, 3.0  # half width of the box around a spot, in its rms radii; smallest, in cells
 _SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # shares of the cells that may have a mean
-_SIZES = tuple(np.geomspace(0.02, 100.0, 18))  # variances of the means over the noise variance
-_CELL_STANDS_OUT = 18.0  # two squares of unit normal variables exceed it in one cell of 8,000
+_SIZES = tuple(np.geomspace(0.02, 100.0, 18))  # variances of the means relative to the noise variance
+_CELL_STANDS_OUT = 18.0  # sum of two squared unit normal variables that one cell in 8,000 exceeds
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,20 +50,22 @@ class FineEffect:
     """An effect that residuals of different captures have in common in cells of a station.
 
     Attributes:
-        station: where.
-        part: of the session that shows it.
-        meeting: number of the surface along the display's path on which the places of the display are.
+        station: station at which it acts.
+        part: part of the session that shows it best.
+        meeting: number of the surface along the display's path on which the display's readings are placed.
         cell: width of a cell, in the unit.
-        noise: variance of the noise per reading by which means of cells vary, in squares of sigma.
+        noise: noise variance per reading that the scatter of the cell means implies, in squares of sigma.
         cells: (c, 2) middles of the cells, in the unit.
-        means: (c, 2) mean residual of each, in units of sigma.
+        means: (c, 2) mean residual of each cell, in units of sigma.
         place, width: (2,) and (): middle of the cells that stand out, and their rms distance from it, in the unit;
             NaN where most of the station stands out.
-        improvement: of captures left out by the means of the others; and the share of the excess that this removes.
-        rows: (m,) of the readings of all parts that show it, at: (m, 2) their places at the station, and change: (m, 2)
-            of them by the effect, in units of sigma.
-        log10_odds: for it against noise alone.
-        next_station: the station of next best evidence; empty without another station.
+        improvement, share_removed: improvement of held-out captures by the means of the others, and the share of the
+            excess that the means remove.
+        rows: (m,) indices of the readings that show it, in all parts.
+        at: (m, 2) their places at the station.
+        change: (m, 2) their change by the effect, in units of sigma.
+        log10_odds: log10 odds for the effect against noise alone.
+        next_station: the station with the next best evidence; empty without another station.
         odds_against_next: log10 odds against that station.
     """
 
@@ -87,17 +89,17 @@ class FineEffect:
 
     @property
     def coordinates(self) -> str:
-        """Name of the coordinates of its station."""
+        """Name of the station's coordinates."""
         return _COORDINATES[self.station][0]
 
     @property
     def unit(self) -> str:
-        """Unit of these coordinates."""
+        """Unit of the station's coordinates."""
         return _COORDINATES[self.station][1]
 
     @property
     def spot_on_combiner(self) -> Box | None:
-        """Box around the cells that stand out, if there is a spot of them on the combiner."""
+        """Box around the cells that stand out, if they form a spot on the combiner."""
         if self.station != "combiner" or not np.isfinite(self.width):
             return None
         half = max(_BOX * self.width, _FEWEST_CELLS * self.cell)
@@ -105,23 +107,23 @@ class FineEffect:
 
     @property
     def predicts(self) -> bool:
-        """True if the effect improves the prediction of captures left out."""
+        """True if the effect improves the prediction of held-out captures."""
         return self.improvement.significance > _PREDICTS
 
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Readings of one part by the cells of one station.
+    """Readings of one part, assigned to the cells of one station.
 
     Attributes:
-        station, part, meeting: as in `FineEffect`; part by its number.
-        width: of a cell.
-        place: (m, 2) of the readings at the station.
-        left: (m, 2) what surfaces leave of their residuals.
-        capture: (m,) of each.
-        rows: (m,) of them among all readings.
-        middles: (c, 2) of the cells that have readings.
-        cell: (m,) of each reading.
+        station, part, meeting: as in `FineEffect`; `part` is a number.
+        width: width of a cell.
+        place: (m, 2) places of the readings at the station.
+        left: (m, 2) their residuals about the photographs' surfaces.
+        capture: (m,) their captures.
+        rows: (m,) their indices among all readings.
+        middles: (c, 2) middles of the cells that have readings.
+        cell: (m,) index of each reading's cell.
     """
 
     station: str
@@ -137,10 +139,10 @@ class _Cells:
 
     @cached_property
     def noise(self) -> float:
-        """Variance of the noise by which the sum of a capture's readings in one cell varies, per reading.
+        """Noise variance per reading, estimated from the sum of each capture's readings in each cell.
 
-        Neighbours in one capture may share noise: it is measured from the sums. Their mean square has the tails of the
-        noise in it, which a median would miss, and some of the effect, which makes the odds for it smaller.
+        Sums are used because neighbours in one capture may share noise. Their mean square includes the tails of the
+        noise, which a median would miss, and some of the effect, which makes the odds for the effect smaller.
         """
         both, count = self.cell * (int(self.capture.max()) + 1) + self.capture, np.ones(len(self.cell))
         owner = np.unique(both, return_inverse=True)[1]
@@ -148,16 +150,16 @@ class _Cells:
         return float(np.mean(total**2 / np.bincount(owner, count)[:, None]))
 
     def sums(self, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Return the number (c,) of some of the readings and the sum (c, 2) of their residuals in each cell."""
+        """Return the number (c,) of the selected readings in each cell, and the sum (c, 2) of their residuals."""
         count = np.bincount(self.cell[rows], minlength=len(self.middles)).astype(np.float64)
         total = [np.bincount(self.cell[rows], self.left[rows, axis], len(self.middles)) for axis in (0, 1)]
         return count, np.stack(total, axis=1)
 
     @cached_property
     def agreement(self) -> tuple[float, float, float]:
-        """Log10 odds for means of cells against noise alone; share of the cells that have one; its variance per axis.
+        """Log10 odds for cell means against noise alone, share of the cells with a mean, and its variance per axis.
 
-        Share and variance are unknown; all that are tried are equally likely beforehand.
+        Share and variance are unknown; all values tried are equally likely a priori.
         """
         count, total = self.sums(np.ones(len(self.cell), dtype=bool))
         several = np.bincount(np.unique(np.stack([self.cell, self.capture]), axis=1)[0], minlength=len(count)) > 1
@@ -172,7 +174,7 @@ class _Cells:
         return odds, tried[best][0], tried[best][1] * self.noise
 
     def means(self, rows: BoolArray, share: float, variance: float) -> FloatArray:
-        """Return the expected mean (c, 2) of each cell by some of the readings (m,)."""
+        """Return the expected mean (c, 2) of each cell from the readings in a mask (m,)."""
         count, total = self.sums(rows)
         square, size = np.sum(total**2, axis=1) / self.noise, variance / self.noise
         none, some = _log_likelihoods(count, square, share, size)
@@ -181,20 +183,20 @@ class _Cells:
 
 
 def _log_likelihoods(count: FloatArray, square: FloatArray, share: float, size: float) -> tuple[float, FloatArray]:
-    """Return the log likelihoods that a cell has no mean, and that each has one (c,), relative to noise alone.
+    """Return the log likelihood that a cell has no mean, and that each cell has one (c,), relative to noise alone.
 
     Args:
         count: (c,) number of readings in each cell.
-        square: (c,) squared sums of their residuals, over the noise variance.
+        square: (c,) squared sums of their residuals, relative to the noise variance.
         share: share of the cells that have a mean.
-        size: variance of the means, over the noise variance.
+        size: variance of the means, relative to the noise variance.
     """
     none = float(np.log1p(-share)) if share < 1.0 else -np.inf
     return none, np.log(share) - np.log1p(count * size) + 0.5 * square * size / (1.0 + count * size)
 
 
 def _spot(middles: FloatArray, power: FloatArray, reach: float) -> tuple[FloatArray, float]:
-    """Middle (2,) and rms radius of the cells around which most of the power lies; NaN where it is spread out."""
+    """Return the middle (2,) and the rms radius of the spot with most of the power; NaN if the power is spread out."""
     middles, power = middles[power > 0.0], power[power > 0.0]
     close = np.linalg.norm(middles[:, None, :] - middles, axis=2) < reach
     near = close @ power
@@ -211,11 +213,11 @@ def fine_effect(
     """Find an effect that is finer than any smooth field.
 
     Args:
-        predictor: of all readings, with the sigma of their noise; outliers included, as something fine looks like them.
-        residual: (n, 2) what causes leave, in units of sigma.
-        least_log10_odds: below which it is not said to be there.
-        rounds: in which its cells are filled, those by which captures left out are predicted best. One takes off little
-            of an effect that is fixed to another station; more take off all of one that is fixed to its cells.
+        predictor: predictor of all readings, with the sigma of their noise; with outliers, which may be a fine effect.
+        residual: (n, 2) residual after the causes, in units of sigma.
+        least_log10_odds: least odds for reporting the effect.
+        rounds: numbers of rounds of filling the cells; the one that predicts held-out captures best is used. One round
+            removes little of an effect that is fixed to another station; more remove all of one fixed to its cells.
 
     Returns:
         The effect at the station where residuals agree most; None where they agree nowhere.
@@ -228,7 +230,7 @@ def fine_effect(
         if of_part not in best or cells.agreement[0] > best[of_part].agreement[0]:
             best[of_part] = cells
     odds: dict[str, float] = {}
-    for (station, part), cells in best.items():  # the parts are independent
+    for (station, part), cells in best.items():  # parts are independent, so that their log odds add
         charged = cells.agreement[0] - float(np.log10(tried[station, part]))
         odds[station] = odds.get(station, 0.0) + max(charged, 0.0)
     ranked = sorted(odds, key=lambda station: -odds[station])
@@ -250,7 +252,7 @@ def fine_effect(
 
 
 def _described(observations: Observations, residual: FloatArray, parts: Sequence[_Cells], rounds: int) -> FineEffect:
-    """Return the effect with its map and its improvement of captures left out; the first part shows it best."""
+    """Return the effect with its map and its improvement of held-out captures; the first part shows it best."""
     first, every = parts[0], np.ones(len(residual), dtype=bool)
     change = _change(observations, residual, parts, every, rounds)
     left = np.nan_to_num(_standardised(observations, residual - change)) + change
@@ -282,10 +284,10 @@ def _described(observations: Observations, residual: FloatArray, parts: Sequence
 def _change(
     observations: Observations, residual: FloatArray, parts: Sequence[_Cells], used: BoolArray, rounds: int
 ) -> FloatArray:
-    """Return the change (n, 2) of all readings by the cells of some of them (n,).
+    """Return the change (n, 2) of all readings by the cell means of the readings in a mask (n,).
 
-    A surface absorbs some of the cells' means, and wild readings are clipped: each round's residual is averaged in the
-    cells again.
+    Surfaces absorb some of the cell means, and wild readings are clipped; therefore each round averages the remaining
+    residual in the cells again.
     """
     change = np.zeros(residual.shape)
     for number in range(rounds):
@@ -301,7 +303,7 @@ def _change(
 def _held_out(
     observations: Observations, residual: FloatArray, parts: Sequence[_Cells], change: FloatArray, rounds: int
 ) -> tuple[HeldOutImprovement, float]:
-    """Return the improvement of captures left out, and its ratio to the improvement of all captures by `change`."""
+    """Return the improvement of held-out captures, and its ratio to the improvement of all captures by `change`."""
     rows = np.concatenate([each.rows for each in parts])
     group = observations.group[rows]
     names = np.unique(group)
@@ -318,7 +320,7 @@ def _held_out(
 
 
 def _standardised(observations: Observations, residual: FloatArray, clip: float = _CLIP) -> FloatArray:
-    """Return what surfaces leave of each reading (n, 2), at its expected size; NaN where they follow it too closely."""
+    """Return the standardised residual (n, 2) about the photographs' surfaces; NaN where the leverage is too large."""
     left, leverage = np.full(residual.shape, np.nan), np.ones(len(residual))
     for surface in surfaces(observations, residual):
         left[surface.rows], leverage[surface.rows] = surface.left, surface.leverage

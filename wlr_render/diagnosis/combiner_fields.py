@@ -1,4 +1,4 @@
-"""Fields of the combiner: heights of its surfaces wherever lines of sight meet them, or deflections of the view."""
+"""Fields of the combiner: heights of its surfaces where lines of sight meet them, or deflections of the view."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -35,14 +35,14 @@ from wlr_render.optics.sag_surfaces import XYPolynomial
 
 _OF_CAUSES = ("all surfaces", "reflecting surfaces")  # groups of surfaces with causes for tilt and form
 _DEGREES = (4, 6, 8, 10, 12)  # degrees of heights over the whole combiner
-_SPOT_SHARES = (1.0, 0.65)  # sizes of the box relative to that around a spot; smaller boxes resolve more
+_SPOT_SHARES = (1.0, 0.65)  # sizes of the fitted box relative to the box around a spot; smaller boxes resolve more
 _SPOT_DEGREES = (3, 5, 7, 9, 11, 14)
 _HEIGHT_STEPS = np.full(3, 0.02)  # finite-difference steps of a height, um, and of its slopes, um/mm
 _PLACE = "place on the combiner"
 
 
 def _with_height(optics: EyeOptics, values: FloatArray, *, path: str, step: int) -> EyeOptics:
-    """Return the optics with a height where a path meets one surface: its piston (um) and slopes (um/mm)."""
+    """Return the optics with a height, given by piston (um) and slopes (um/mm), where a path meets one surface."""
     if not values.any():
         return optics
     piston, slope_x, slope_y = np.asarray(values) * [1e-6, 1e-3, 1e-3]
@@ -60,7 +60,7 @@ class _Meeting:
     """The intersections of a path with a surface.
 
     Attributes:
-        surface: its name.
+        surface: name of the surface.
         place: (n, 2) of each reading's line of sight, millimetres right and up of the combiner's middle; NaN for
             readings of other paths.
         lever: (n, 2, 3) change of the readings by a height in micrometres and its slopes, in micrometres per
@@ -73,14 +73,13 @@ class _Meeting:
 
 
 def _meetings(readings: WeighedReadings) -> list[_Meeting]:
-    """Return all places where the lines of sight meet the combiner's surfaces."""
+    """Return the intersections of the lines of sight with each surface of the combiner."""
     predictor, meetings = readings.predictor, []
     for path in ("display", "see_through"):
         for number, step in enumerate(getattr(readings.observations.nominal.optics, path).steps):
             place = footprints(predictor, path, number)
             lever = predictor.lever(of_optics(partial(_with_height, path=path, step=number)), _HEIGHT_STEPS)
-            # The levers of the slopes come from heights x and y about the middle, so the lever of a height is
-            # subtracted.
+            # Slopes are applied as heights x and y about the combiner's middle; subtract the height's part.
             lever[:, :, 1:] -= lever[:, :, :1] * np.nan_to_num(place)[:, None, :]
             lever[~np.isfinite(place).all(axis=1)] = 0.0
             meetings.append(_Meeting(step.surface.name, place, lever))
@@ -88,11 +87,11 @@ def _meetings(readings: WeighedReadings) -> list[_Meeting]:
 
 
 def combiner_fields(readings: WeighedReadings, spot: Box | None = None) -> Iterator[StationField]:
-    """Return heights of the combiner's surfaces over the places where the lines of sight meet them.
+    """Yield heights of the combiner's surfaces as functions of the place where the lines of sight meet them.
 
     Args:
         readings: the readings.
-        spot: outside of which further heights are zero, millimetres; None for no such heights.
+        spot: box in millimetres for additional heights, which are zero outside it; None for no such heights.
     """
     if not readings.observations.nominal.optics.display.steps:
         yield from _view_fields(readings)
@@ -105,7 +104,7 @@ def combiner_fields(readings: WeighedReadings, spot: Box | None = None) -> Itera
     every = np.concatenate([each.place for each in meetings])
     orders, local = total_degree(2, _DEGREES[-1]), local_orders(_SPOT_DEGREES[-1])
     whole = polynomials(orders, Box.around(every[np.isfinite(every).all(axis=1)]))
-    # The slopes of all terms by differences take a tenth of the time of a polynomial's Jacobian.
+    # Finite differences give the slopes of all terms in a tenth of the time of a polynomial's Jacobian.
     heights = AnyFunction(partial(basis, orders=orders, box=whole.box), whole.box)
     for surfaces, names_of in SURFACES.items():
         names = names_of(optics)
@@ -113,11 +112,11 @@ def combiner_fields(readings: WeighedReadings, spot: Box | None = None) -> Itera
             continue
         done.append(names)
         of_surfaces = [each for each in meetings if each.surface in names]
-        # A height of the second degree in all surfaces is a tilt and a form error, which are causes.
+        # Heights of first and second degree in these groups are tilts and form errors, which are causes.
         degrees = _DEGREES if surfaces in _OF_CAUSES else (2, *_DEGREES)
         columns, place = _by_height(of_surfaces, heights, len(orders)), np.where(met[:, None], first, 0.0)
         values = heights(place)
-        # A height that is the same everywhere moves next to nothing, and its value is next to unknown.
+        # A constant height hardly changes the readings, so that its value is hardly determined.
         values = values - values[met].mean(axis=0)
         terms = Terms(_PLACE, place, values, np.asarray(orders.sum(axis=1)), degrees, (whole,))
         yield _height_field(surfaces, "", terms, columns, met)
@@ -139,13 +138,13 @@ def _middle_of(spot: Box, share: float) -> Box:
 
 
 def _height_field(surfaces: str, where: str, terms: Terms, columns: FloatArray, acts: BoolArray) -> StationField:
-    """Return the field of a height by its terms, and by the changes (n, 2, t) of the readings by each."""
+    """Return the field of a height, given its terms and the change (n, 2, t) of the readings by each term."""
     every, form = np.ones(len(acts), dtype=bool), f"height of {surfaces}{where}"
     return replace(field_of("combiner", form, "um", terms, columns[..., None], every, surfaces), acts=acts)
 
 
 def _by_height(meetings: Sequence[_Meeting], heights: AnyFunction | LocalWaves, count: int) -> FloatArray:
-    """Change (n, 2, count) of the readings by heights of surfaces, as functions of the place."""
+    """Return the change (n, 2, count) of the readings by each of the height functions of the surfaces."""
     columns = np.zeros((*meetings[0].lever.shape[:2], count))
     for each in meetings:
         rows = heights.box.contains(each.place)
@@ -156,7 +155,7 @@ def _by_height(meetings: Sequence[_Meeting], heights: AnyFunction | LocalWaves, 
 
 
 def _view_fields(readings: WeighedReadings) -> Iterator[StationField]:
-    """Deflections of the view by optics that are not known: a turn and a shift of each line of sight, up and right."""
+    """Yield deflections of the view by unknown optics: a turn and a shift of each line of sight."""
     observations, state = readings.observations, readings.predictor.state(Explanation())
     plan = observations.session.plan.see_through
     if plan is None or state.views.dots is None:
@@ -164,7 +163,7 @@ def _view_fields(readings: WeighedReadings) -> Iterator[StationField]:
     rows, tangents = observations.part == SEE_THROUGH, state.views.dots.tangents
     viewpoint, dot, _ = dot_geometry(state.bench, plan)
     here = dot_pixels(state.bench, plan, tangents)
-    step = 1e-4  # in tangents
+    step = 1e-4  # finite-difference step, in tangents
     by_tangent = [(dot_pixels(state.bench, plan, tangents + step * axis) - here) / step for axis in np.eye(2)]
     turn = 1e-3 * np.stack(by_tangent, axis=-1)
     shift = turn / (viewpoint - dot)[:, 2, None, None]
@@ -176,11 +175,11 @@ def _view_fields(readings: WeighedReadings) -> Iterator[StationField]:
 def footprints(predictor: Predictor, path: str = "", step: int = 0) -> FloatArray:
     """Return where each reading's line of sight meets a surface of the combiner, (n, 2) millimetres right and up.
 
-    From the combiner's middle, device frame; NaN at run time and where nothing is met.
+    The origin is the combiner's middle, in the device frame; NaN at run time and where the surface is missed.
 
     Args:
-        predictor: of the readings.
-        path: "display" or "see_through": only readings that look along it count; all if empty.
+        predictor: predictor of the readings.
+        path: "display" or "see_through": only readings that look along this path; all if empty.
         step: number of the surface along the path.
     """
     observations, state = predictor.observations, predictor.state(Explanation())

@@ -1,4 +1,4 @@
-"""All causes by name. A new cause is an entry in the tuple of its subject."""
+"""All causes by name. To add a cause, add an entry to the tuple of its subject."""
 
 from wlr_render.diagnosis.causes.optics import FORM, OPTICS, READOUT
 from wlr_render.diagnosis.causes.station import CAMERA, MOUNT, RUN_TIME, STAGE, TARGET, TRACKING_CAMERA

@@ -1,7 +1,7 @@
 """Causes in the headset: combiner, panel, their shapes, media, a plate before it, and how the panel is read out.
 
-Device frame; metres and radians unless said. Shapes: x is to the right and y up from the combiner's middle, where the
-line of sight straight ahead meets it; surfaces are raised away from the eye.
+Device frame; metres and radians unless stated otherwise. Shapes: x points right and y up from the combiner's middle,
+where the line of sight straight ahead meets it; surfaces are raised away from the eye.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,14 +31,14 @@ from wlr_render.optics.raised import Offset
 from wlr_render.optics.sag_surfaces import GaussianBump, XYPolynomial
 from wlr_render.optics.surfaces import Conic
 
-_PLATE_AHEAD = 0.15  # metres before the eye: beyond all optics; where else a plane plate stands does not matter
+_PLATE_AHEAD = 0.15  # metres from the eye to a plane plate, beyond all optics; its exact distance has no effect
 _PLATE_APART = 0.05  # metres from one added plate to the next
-_PLATE_HALF_SIZE = 0.2  # metres
+_PLATE_HALF_SIZE = 0.2  # half width of a plate, metres
 _FORWARD = np.array([0.0, 0.0, -1.0])
 FORM_RADIUS_MM = 20.0
-"""Form errors of the combiner are stated so far from its middle."""
+"""Radius about the combiner's middle at which its form errors are stated."""
 
-_NARROWEST_MM = 0.5  # a fit may step below zero on its way
+_NARROWEST_MM = 0.5  # smallest width of a bump: a step of the fit may go below zero
 _TOLERANCES = (
     "tolerances of injection-moulded optics (Apollo Optical Systems): 10 fringes of power and 6 of irregularity over "
     "25 mm, that is 8 and 5 um over 40 mm"
@@ -46,18 +46,18 @@ _TOLERANCES = (
 
 
 def of_optics(change: Callable[[EyeOptics, FloatArray], EyeOptics]) -> Perturb:
-    """Return a change of the eye's optics: `change` maps them and the parameters to the new ones."""
+    """Return a `Perturb` of the eye's optics: `change` maps the optics and the parameters to new optics."""
     return lambda bench, values: _with_optics(bench, change(bench.optics, values))
 
 
 def _with_optics(bench: Bench, optics: EyeOptics) -> Bench:
-    """Return the bench with other optics before its eye."""
+    """Return the bench with the optics of its eye replaced."""
     device = replace(bench.device, eyes={**bench.device.eyes, bench.eye: optics})
     return replace(bench, device=device)
 
 
 def _sizes(error: assembly.AssemblyError, names: Sequence[str], first: int = 0) -> tuple[Parameter, ...]:
-    """Return parameters with the plausible sizes that the fit of a prescription takes, too; from axis `first` on."""
+    """Return parameters, from axis `first` on, with the plausible sizes that the fit of a prescription also uses."""
     return tuple(
         Parameter(name, error.unit, size)
         for name, size in zip(names, error.plausible_size[first : first + len(names)], strict=True)
@@ -69,9 +69,9 @@ def _panel_scaled(optics: EyeOptics, scale_percent: FloatArray) -> EyeOptics:
 
 
 def _frame_bent(bench: Bench, deg: FloatArray) -> Bench:
-    """Turn the optics of both eyes as a frame does that bends between them: each eye as the other's mirror image.
+    """Turn the optics of the two eyes in opposite directions about the middle between them, as a bent frame does.
 
-    The right eye turns to the nose and up, the left eye to the nose and down, about the middle between them.
+    The right eye turns to the nose and up, the left eye to the nose and down.
     """
     toe_in, twist = np.deg2rad(deg)
     pivot = bench.optics.eye_box.centre * [0.0, 1.0, 1.0]
@@ -91,9 +91,9 @@ def _index_shifted(optics: EyeOptics, index: FloatArray) -> EyeOptics:
 def _combiner_thickened(
     optics: EyeOptics, thickness_mm: FloatArray, *, face: Literal["inner", "outer"], along_axis: bool = False
 ) -> EyeOptics:
-    """Move the first or last surface that the world is seen through so that the substrate between them is thicker.
+    """Thicken the substrate by moving the first or the last surface of the see-through path.
 
-    It moves along its normals, or as a whole along the axis of its frame, as the halves of a mould do.
+    The surface moves along its normals, or as a whole along the axis of its frame, as the halves of a mould do.
     """
     steps, by = optics.see_through.steps, 1e-3 * float(thickness_mm[0])
     if len(steps) < 2:
@@ -116,9 +116,9 @@ def _combiner_thickened(
 
 
 def _plate_added(bench: Bench, thickness: float, tilt_deg: FloatArray, wedge_deg: FloatArray) -> Bench:
-    """Add a plate of PMMA between the optics and the world, both its faces tilted about x and y, or the far one only.
+    """Add a PMMA plate between the optics and the world; tilt turns both faces about x and y, wedge only the far one.
 
-    A negative thickness displaces rays the other way, so that a fit may pass through zero.
+    A negative thickness displaces rays the other way, so that a fit can pass through zero.
     """
     if thickness == 0.0:
         return bench
@@ -132,7 +132,7 @@ def _plate_added(bench: Bench, thickness: float, tilt_deg: FloatArray, wedge_deg
     reach = _PLATE_HALF_SIZE * np.array([1.0, 1.0, np.inf])
     aperture = ClearAperture(-reach, reach)
     steps = []
-    number = len(bench.optics.surfaces())  # no name may be there twice
+    number = len(bench.optics.surfaces())  # makes the name unique
     for side, rotation, along, into in (("near", near, 0.0, medium), ("far", far, abs(thickness), AIR)):
         face = PlacedSurface(
             f"added_plate_{number}_{side}", Conic(0.0), rigid(rotation, centre + along * near @ _FORWARD), aperture
@@ -147,7 +147,7 @@ def _tilt(tilt_deg: FloatArray) -> FloatArray:
 
 
 def _colours_apart(readout: PanelReadout, values: FloatArray) -> PanelReadout:
-    """Magnify and shift red and blue against green: percent of red and of blue, then pixels of red and of blue."""
+    """Scale and shift red and blue relative to green: percent of red and blue, then pixels (u, v) of red and blue."""
     red, blue = 1e-2 * values[:2]
     shift = np.insert(values[2:].reshape(2, 2), 1, 0.0, axis=0)
     return PanelReadout(
@@ -311,14 +311,14 @@ READOUT = (
 
 
 def _panel_bowed(optics: EyeOptics, sag_mm: FloatArray) -> EyeOptics:
-    """Curve the panel along u and v, by the sags (2,) at its edges in millimetres."""
+    """Curve the panel along u and v by the sags (2,) at its edges, in millimetres."""
     panel = optics.panel
     curvature = 2.0 * 1e-3 * sag_mm / (0.5 * panel.size) ** 2
     return replace(optics, panel=replace(panel, curvature=panel.curvature + curvature))
 
 
 def _form_coefficients(values_um: FloatArray) -> FloatArray:
-    """Return coefficients (4, 4) of x^m y^n, metres: Zernike terms of power without piston, astigmatism and coma."""
+    """Return coefficients (4, 4) of x^m y^n, metres, for Zernike power (without piston), astigmatism and coma."""
     power, astigmatism, oblique, coma_x, coma_y = 1e-6 * values_um
     radius = 1e-3 * FORM_RADIUS_MM
     coefficients = np.zeros((4, 4))
@@ -332,7 +332,7 @@ def _form_coefficients(values_um: FloatArray) -> FloatArray:
 
 
 def _of_form(optics: EyeOptics, values: FloatArray, *, of_mirrors_only: bool = False) -> EyeOptics:
-    """Add form errors (5,) in micrometres to all surfaces of the combiner, or only to its mirrors for the display."""
+    """Add form errors (5,) in micrometres to all surfaces of the combiner, or only to the reflecting ones."""
     if not values.any():
         return optics
     names = SURFACES["reflecting surfaces" if of_mirrors_only else "all surfaces"](optics)

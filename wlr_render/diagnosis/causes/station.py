@@ -11,18 +11,18 @@ from wlr_render.geometry.transforms import rigid
 from wlr_render.numerics.arrays import FloatArray
 
 SAG_DOTS = 10
-"""The sag of a bowed target is stated at this many dots from its middle."""
-_FASTEST_S = 1.0  # a fit may step below zero on its way
+"""Distance from the target's middle, in dots, at which the sag of a bowed target is stated."""
+_FASTEST_S = 1.0  # shortest warm-up time: a step of the fit may go below zero
 
 
 def _backlash(towards_minus: float, towards_plus: float) -> Perturb:
-    """Return a change of the stage's positions by shares of the lost motion after moves towards -x and +x."""
+    """Return a `Perturb` of the stage's backlash: the shares of the lost motion after moves towards -x and +x."""
     shares = np.array([towards_minus, towards_plus])
     return changed("stage", "backlash", lambda old, mm: old + 1e-3 * (mm * shares))
 
 
 def _bowed(bench: Bench, sag_mm: FloatArray, *, power: int) -> Bench:
-    """Bow the target; its curvature at another pose is scaled by the inverse `power` of its pitch there."""
+    """Bow the target; the curvature at each pose scales with the inverse `power` of the pitch at that pose."""
     pitch = bench.target.pitch
     if len(pitch) == 0:
         return bench
@@ -40,7 +40,7 @@ def _panel_creeping(bench: Bench, values: FloatArray) -> Bench:
 
 
 def _slipped(bench: Bench, values: FloatArray) -> Bench:
-    """Displace and turn the camera in the headset from some moment on."""
+    """Displace and turn the camera in the headset from a given time on."""
     mount = replace(
         bench.mount,
         slip=bench.mount.slip + 1e-3 * values[:3],

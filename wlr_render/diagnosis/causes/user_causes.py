@@ -25,9 +25,9 @@ from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 
 ENTRY_POINTS = "wlr_render.causes"
-"""Group of entry points by which an installed package adds causes: each names a `CAUSES`, an iterable of `Cause`."""
-_PLACES = 50  # places at a station at which the effects of two benches are compared
-_MOST_MISS = 0.05  # largest error of a function in a file, relative to its largest value
+"""Entry point group through which an installed package adds causes: each names a `CAUSES`, an iterable of `Cause`."""
+_PLACES = 50  # number of places at a station where the effects of two benches are compared
+_MOST_MISS = 0.05  # largest error of a function's polynomial in a file, relative to the function's largest value
 
 
 def causes_for(
@@ -39,12 +39,12 @@ def causes_for(
         bench: the nominal bench.
         added: Python files (`.py`) or modules that define `CAUSES`, an iterable of `Cause`; they join the listed causes
             and the causes of installed packages.
-        only: names of the causes that are considered; all if empty.
-        excluded: names of causes that are left out.
+        only: names of the causes to consider; all if empty.
+        excluded: names of the causes to leave out.
 
     Raises:
-        BadInputError: a file or module that cannot be loaded or defines no causes, a cause that fails on this bench, a
-            name that exists already or that no cause has, or no cause is left.
+        BadInputError: a file or module cannot be loaded or defines no causes, a cause fails on this bench, a name is
+            taken or unknown, or no cause is left.
     """
     causes = dict(CAUSES)
     for where, stated in (*_installed(), *((each, _loaded(each)) for each in added)):
@@ -63,7 +63,7 @@ def causes_for(
 
 
 def _installed() -> list[tuple[str, Any]]:
-    """Return where installed packages state causes, and the causes."""
+    """Return the entry points of installed packages that state causes, and these causes."""
     found = []
     for entry in entry_points(group=ENTRY_POINTS):
         where = f"entry point '{entry.name}' ({entry.value})"
@@ -80,7 +80,7 @@ def _loaded(source: str) -> Any:
         module = _module_of_file(Path(source)) if source.endswith(".py") else importlib.import_module(source)
     except (BadInputError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # a module may raise SystemExit or any exception that it defines
+    except BaseException as error:  # a module may raise SystemExit or its own exceptions
         raise _failed(source, error) from error
     if not hasattr(module, "CAUSES"):
         raise BadInputError(f"{source}: defines no CAUSES; add CAUSES = (Cause(...),) as docs/diagnosis.md shows.")
@@ -88,14 +88,14 @@ def _loaded(source: str) -> Any:
 
 
 def _module_of_file(path: Path) -> Any:
-    read_text(path, "Python", remedy="name a Python file that defines CAUSES")  # no pipe, not endless
+    read_text(path, "Python", remedy="name a Python file that defines CAUSES")  # refuses pipes and endless files
     name = f"wlr_render_causes_of_{path.stem}"
     loader = SourceFileLoader(name, str(path))
     spec = importlib.util.spec_from_file_location(name, path, loader=loader)
     assert spec is not None, "the name ends in .py"
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
-    # Bytecode would be kept in a folder of the user's, and used again after a quick edit of the same length.
+    sys.modules[name] = module  # dataclasses look up their module
+    # The usual import would write bytecode to the user's folder, and reuse it after a quick edit of the same length.
     exec(loader.source_to_code(path.read_bytes(), str(path)), module.__dict__)
     return module
 
@@ -107,7 +107,7 @@ def _failed(where: str, error: BaseException) -> BadInputError:
 
 
 def _checked(where: str, stated: Any, bench: Bench) -> list[Cause]:
-    """Return the causes that a source states, or refuse it where they do not act on the bench."""
+    """Return the causes that a source states; raise BadInputError if one does not work on the bench."""
     if not isinstance(stated, Iterable) or isinstance(stated, str | Mapping):
         raise BadInputError(f"{where}: CAUSES is {shown(stated)}; it must be a tuple or list of Cause.")
     causes = list(stated)
@@ -123,7 +123,7 @@ def _checked(where: str, stated: Any, bench: Bench) -> list[Cause]:
 
 
 def _refusing(cause: Cause, variant: str) -> Perturb:
-    """Return a variant that refuses the values for which its function fails: a fit then takes a shorter step."""
+    """Return a variant that raises BadInputError where its function fails: a fit then takes a shorter step."""
 
     def perturb(bench: Bench, values: FloatArray) -> Bench:
         try:
@@ -139,7 +139,7 @@ def _failure(variant: str, error: Exception) -> str:
 
 
 def _fault(cause: Cause, bench: Bench) -> str:
-    """Return the fault of a cause as words after its name; empty for a valid cause."""
+    """Return the fault of a cause, phrased to follow its name; empty for a valid cause."""
     if cause.part not in PARTS:
         return f"has the part {cause.part!r}; choose from {', '.join(PARTS)}"
     if not cause.variants:
@@ -149,7 +149,7 @@ def _fault(cause: Cause, bench: Bench) -> str:
     for parameter in cause.parameters:
         if not 0.0 < parameter.prior_sigma < np.inf:
             return f"has a prior_sigma of {parameter.prior_sigma} for '{parameter.name}'; it must be finite and above 0"
-    given = deepcopy(bench)  # a copy shows changes that a function makes in place
+    given = deepcopy(bench)  # shows whether a function changes the bench in place
     sizes = np.array([0.1 * p.prior_sigma if p.role is Role.SIZE else 0.0 for p in cause.parameters])
     for variant in cause.variants:
         try:
@@ -163,7 +163,7 @@ def _fault(cause: Cause, bench: Bench) -> str:
 
 
 def _fault_of(returned: Sequence[Any], given: Bench, variant: str, null: FloatArray) -> str:
-    """Return the fault of the benches that a variant returns for small values and for its null values."""
+    """Return the fault of the benches that a variant returns for small values and for its null values, or nothing."""
     for each in returned:
         if not isinstance(each, Bench):
             return f"returns {type(each).__name__} in its variant '{variant}'; it must return a Bench"
@@ -183,9 +183,9 @@ def _fault_of(returned: Sequence[Any], given: Bench, variant: str, null: FloatAr
 
 
 def _difference(given: Bench, returned: Bench) -> str:
-    """Return the first attribute in which two benches differ, as `camera.focal_px`; empty if none differs.
+    """Return the first attribute in which two benches differ, e.g. `camera.focal_px`; empty if none differs.
 
-    Headsets are compared by their rays, so that surfaces of no effect may be added.
+    Headsets are compared by their rays, because a cause may add surfaces that have no effect.
     """
     if given.eye != returned.eye:
         return "eye"
@@ -207,14 +207,14 @@ def _difference(given: Bench, returned: Bench) -> str:
 
 
 def _displaced(effect: BenchEffect) -> list[FloatArray]:
-    """Return the displacements of an effect's function at places, or its coefficients; none where it displaces none."""
+    """Return the displacements of an effect at sample places, or its coefficients; empty if all are zero."""
     function = effect.function
     values = function(function.box.places(_PLACES)) if isinstance(function, AnyFunction) else function.coefficients
     return [values] if np.any(values) else []
 
 
 def _miss_in_file(effect: BenchEffect) -> float:
-    """Return the largest error of the polynomial that states a function in a file, over its largest value."""
+    """Return the largest error of the polynomial that states a function in a file, relative to its largest value."""
     if not isinstance(effect.function, AnyFunction):
         return 0.0
     places = effect.function.box.places(_PLACES)
@@ -247,5 +247,5 @@ def _rays(optics: EyeOptics, wavelengths_um: Sequence[float]) -> FloatArray:
 def _same_numbers(old: Any, new: Any) -> bool:
     try:
         return bool(np.allclose(old, new, rtol=1e-9, atol=1e-12, equal_nan=True))
-    except (TypeError, ValueError):  # no numbers, or arrays of shapes that do not fit together
+    except (TypeError, ValueError):  # not numbers, or arrays of different shapes
         return False
