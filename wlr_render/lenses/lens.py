@@ -72,7 +72,7 @@ class Lens(Protocol):
 
 
 def radians_per_pixel(lens: Lens, direction: FloatArray) -> FloatArray:
-    """Return the angle (n,) that one pixel spans at unit directions (n, 3), the geometric mean of both transverse axes."""
+    """Return the angle (n,) per pixel at unit directions (n, 3), the geometric mean of both transverse axes."""
     slope = lens.project(direction).by_point
     # The derivative along the direction itself is zero: only the two transverse angles move the pixel.
     return np.asarray(np.linalg.det(slope @ np.swapaxes(slope, 1, 2)) ** -0.25)

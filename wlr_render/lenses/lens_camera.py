@@ -95,7 +95,7 @@ class LensCamera:
         return LensCamera(self.size_px, values[:2], values[2:4], values[4:], self.kind)
 
     def as_kind(self, kind: str) -> "LensCamera":
-        """Convert this camera to a kind that adds terms to those of its own kind; the added terms are 0."""
+        """Convert this camera to a kind that extends its list of terms; the added terms are 0."""
         more = len(LENS_KINDS[kind]) - len(self.distortion)
         return LensCamera(self.size_px, self.focal_px, self.centre_px, np.pad(self.distortion, (0, more)), kind)
 

@@ -17,7 +17,7 @@ from wlr_render.numerics.smooth_field import SmoothField
 RESIDUAL = "residual"
 """Parameter name of the amplitudes."""
 _WAVES = 9, 7  # half waves along the sides of the picture: finer residuals average out over a board
-_FALL = 0.1  # decrease of log prior size per half wave: residuals are no smoother than the lens model's terms
+_FALL = 0.1  # decrease of log prior size per half wave: residuals are not smoother than the lens model
 _STEP_PX = 1e-3  # step of the finite differences of the slope
 _GRID = 25  # samples along each side for the field's rms
 _ROUNDS, _CLOSE_PX = 8, 1e-3  # iterations of the inverse, last step: flat fields need 3, steep ones have no inverse
