@@ -23,7 +23,7 @@ class Alignments:
     Attributes:
         path: the file. device: name of the headset. eye: "left" or "right".
         panel: the panel.
-        eye_box: where the eye may be: its place is known to this box.
+        eye_box: the region that contains the eye; its position within the region is unknown.
         pixel: (n, 2) pixels.
         point: (n, 3) the real point that each covered.
         time_s: (n,) times, rising; None where they are not recorded.
@@ -39,7 +39,7 @@ class Alignments:
     time_s: FloatArray | None = None
 
     def select(self, rows: BoolArray) -> "Alignments":
-        """Return some of them."""
+        """Return the alignments of some rows, by mask (n,)."""
         time_s = None if self.time_s is None else self.time_s[rows]
         return replace(self, pixel=self.pixel[rows], point=self.point[rows], time_s=time_s)
 
@@ -57,7 +57,7 @@ def load_alignments(path: str | Path) -> Alignments:
     """Read a file of alignments; docs/files.md has the format.
 
     Raises:
-        BadInputError: a key is missing, unknown or implausible; the sentence names it.
+        BadInputError: a key is missing, unknown or implausible; the message names it.
     """
     table = read_toml(path)
     table.check_head(FORMAT, VERSION)
@@ -97,7 +97,7 @@ def load_alignments(path: str | Path) -> Alignments:
 
 
 def _require_single(pixel: FloatArray, point: FloatArray) -> None:
-    """Refuse copies of an alignment, which would count as further evidence."""
+    """Refuse copies of an alignment, which a fit would use as independent measurements."""
     first: dict[tuple[float, ...], int] = {}
     for number, values in enumerate(map(tuple, np.hstack([pixel, point]).tolist()), 1):
         if (same := first.setdefault(values, number)) != number:

@@ -50,7 +50,7 @@ _MODEL_KEYS = ("distortion_model", "camera_model")
 _FISHEYE_KEYS = ("fisheye_model", "fisheye")
 _OPENCV_KEYS = (*(_MATRIX_KEYS + _TERM_KEYS + _WIDTH_KEYS + _HEIGHT_KEYS + _SIZE_KEYS + _MODEL_KEYS + _FISHEYE_KEYS),)
 _OPENCV_MARKS = ("<", "!!opencv-", '"type_id"')  # marks of XML, and of matrices in YAML and JSON
-_UNREAD_TERMS = re.compile(r"(?i).*dist(?!ortion_model).*|k_?[1-6]|.*\.k[1-6]")  # keys of terms in other files
+_UNREAD_TERMS = re.compile(r"(?i).*dist(?!ortion_model).*|k_?[1-6]|.*\.k[1-6]")  # keys of unsupported terms
 _FISHEYE_NAMES = ("equidistant", "fisheye", "kannala_brandt")
 _PERSPECTIVE_NAMES = (
     *("plumb_bob", "rational_polynomial", "pinhole", "brown", "thin_prism", "radtan", "radial_tangential", "none"),
@@ -59,7 +59,7 @@ _OTHER_PROGRAMS = {
     **{"value0": "Basalt", "model_type": "VINS-Fusion", "projection_parameters": "VINS-Fusion"},
     **{"Camera.fx": "ORB-SLAM", "Camera1.fx": "ORB-SLAM", "intrinsic_matrix": "Open3D"},
 }
-"""Programs whose files are not read, by a key of their files."""
+"""Programs with unsupported files, by a key in these files."""
 _COLMAP = re.compile(r"\d+ [A-Z_]+ \d+ \d+( [-+.\deE]+)+")
 _AS_ROS = (
     "write image_width, image_height, camera_matrix, distortion_model and distortion_coefficients as ROS does, in "
@@ -70,14 +70,14 @@ KIND_OF_COUNT = {0: "brown", 4: "brown", 5: "brown", 8: "rational", 12: "thin-pr
 """Kind of lens by the number of OpenCV's distortion terms."""
 _TILTED = 14  # terms of OpenCV's tilted sensor model: "thin-prism" plus two angles
 _REMEDY = "give a file of a calibrated lens"
-_LONGEST_LIST = 100  # most numbers of a list: no lens that is read has half as many
-_MOST_NUMBERS = 200_000  # most numbers of a file: spline lenses have some thousands
-_DEEPEST = 30  # deepest nesting: parsers of some formats recurse
+_LONGEST_LIST = 100  # most numbers in a list; no supported lens has half as many
+_MOST_NUMBERS = 200_000  # most numbers in a file; splined lenses have a few thousand
+_DEEPEST = 30  # deepest nesting of lists and tags; some parsers recurse
 _NESTING = re.compile(r"[\[\]{}()]|</?[A-Za-z_][^<>]*(?<!/)>")
 _ASPECT = 3.0  # largest ratio of the focal lengths in x and y, for binned pixels
 _FOCAL = (0.02, 1000.0)  # focal length over the larger side of the picture
 _MOST_TERM = 1e6  # largest distortion term; high-order terms of long lenses reach ten thousand
-_SKEW = 1e-9  # largest skew taken for zero, relative to the focal length
+_SKEW = 1e-9  # largest skew treated as zero, relative to the focal length
 
 
 def load_lens(path: str | Path) -> LensCamera | SplinedLens:
@@ -102,7 +102,7 @@ def load_lens(path: str | Path) -> LensCamera | SplinedLens:
 
 
 def check_nesting(path: Path, text: str) -> None:
-    """Refuse text that is nested too deeply for parsers of lists and tags, or has more numbers than a lens."""
+    """Refuse text with lists or tags nested too deeply for parsers, or with more numbers than any lens has."""
     if text.count(",") + text.count("\n") + text.count(" ") > _MOST_NUMBERS:
         raise BadInputError(f"{path}: has more numbers than a file of a lens; {_REMEDY}.")
     depth = 0
@@ -118,7 +118,7 @@ def require_plausible_lens(where: str, lens: LensCamera | SplinedLens) -> None:
 
     Args:
         where: the file or table of the lens.
-        lens: any; sizes, focal lengths and centre in pixels.
+        lens: the lens; size, focal lengths and centre in pixels.
 
     Raises:
         BadInputError: the picture is too large, a number is not finite, the focal length is not plausible for the
@@ -131,7 +131,7 @@ def require_plausible_lens(where: str, lens: LensCamera | SplinedLens) -> None:
 
 
 def require_plausible_view(where: str, size_px: FloatArray, focal_px: FloatArray, centre_px: FloatArray) -> None:
-    """Refuse a picture's size, focal lengths and principal point, (2,) each in pixels, that are impossible.
+    """Refuse an impossible picture size, focal lengths or principal point, each (2,) in pixels.
 
     Raises:
         BadInputError: as `require_plausible_lens`.
@@ -161,7 +161,7 @@ def _mrcal_lens(file: Path, text: str) -> LensCamera | SplinedLens:
         content = ast.literal_eval(text.strip())
         model = str(content["lensmodel"])
         intrinsics = np.array(content["intrinsics"], dtype=np.float64)
-        width, height = (int(float(length)) for length in content["imagersize"])  # float refuses 400 digits
+        width, height = (int(float(length)) for length in content["imagersize"])  # int alone accepts 400 digits
     if intrinsics.ndim != 1:
         raise BadInputError(f"'intrinsics' must be a list of numbers; {_REMEDY}.")
     splined = _SPLINED.fullmatch(model)
@@ -190,7 +190,7 @@ def _check_values(values: FloatArray, count: int, model: str) -> None:
 
 
 def lens_of_opencv(size_px: tuple[int, int], core: FloatArray, terms: FloatArray, kind: str) -> LensCamera:
-    """Return the camera of OpenCV's numbers.
+    """Return the camera with OpenCV's parameters.
 
     Args:
         size_px: width and height.
@@ -223,7 +223,7 @@ def _lens_of_keys(file: Path, text: str) -> LensCamera:
 
 
 def _camera_of(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the camera's keys in a file of ROS, Kalibr or another program with a camera matrix."""
+    """Return the keys of the one camera in a file of ROS, Kalibr or another program with a camera matrix."""
     program = next((program for key, program in _OTHER_PROGRAMS.items() if key in content), None)
     if program is not None:
         raise BadInputError(f"is a file of {program}, which is not read; {_AS_ROS}.")
@@ -238,7 +238,7 @@ def _camera_of(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _refuse_other_programs(text: str) -> None:
-    """Refuse a file without keys, by the program that writes such files."""
+    """Refuse files without keys that other programs write."""
     lines = [line.strip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if lines[:1] == ["[image]"]:
         raise BadInputError("is the ost.txt of ROS' camera calibrator, which is not read; give its ost.yaml.")
@@ -250,7 +250,7 @@ def _opencv_content(file: Path, text: str) -> dict[str, Any]:
     """Return the keys and values of an OpenCV file that describe the lens."""
     with as_bad_input(file, "a YAML, XML or JSON file of OpenCV", "save it with cv2.FileStorage"):
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()  # valid while the storage is
+        root = storage.root()  # valid only while `storage` exists
         if not root.isMap():
             raise ValueError("it has no keys")
         unread = {key: None for key in root.keys() if _UNREAD_TERMS.fullmatch(key)}  # noqa: SIM118
@@ -260,14 +260,14 @@ def _opencv_content(file: Path, text: str) -> dict[str, Any]:
 def _plain(node: Any) -> Any:
     """Return the value of a node: a list for a matrix or a list, a number or text."""
     if node.isMap():
-        return _plain(node.getNode("data"))  # not `node.mat()`, which damaged files make write past its memory
-    if node.isSeq():  # a node of many numbers takes time quadratic in them
+        return _plain(node.getNode("data"))  # not `node.mat()`, which writes out of bounds for damaged files
+    if node.isSeq():  # `at` takes linear time, so that long lists take quadratic time
         return [_plain(node.at(place)) for place in range(min(node.size(), _LONGEST_LIST + 1))]
     return node.real() if node.isReal() or node.isInt() else node.string()
 
 
 def _kalibr_camera(content: dict[str, Any]) -> dict[str, Any]:
-    """Return a camera of Kalibr with a camera matrix from its intrinsics."""
+    """Return the keys of a Kalibr camera with its intrinsics as a camera matrix."""
     model = content["camera_model"]
     if model != "pinhole":
         raise BadInputError(
@@ -281,7 +281,7 @@ def _kalibr_camera(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _refuse_cropped(content: Mapping[str, Any]) -> None:
-    """Refuse a camera of ROS whose photographs are a part of the picture that its camera matrix describes."""
+    """Refuse a ROS camera with binning or a region of interest: its camera matrix describes the whole sensor."""
     binning = [content.get(f"binning_{axis}") or 1 for axis in "xy"]
     region = content.get("roi")
     region = region if isinstance(region, dict) else {}
@@ -369,6 +369,6 @@ def _numbers(value: Any) -> list[float]:
                 break
         return numbers
     try:
-        return [float(value)]  # YAML takes 1e-5 for text
+        return [float(value)]  # YAML parses 1e-5 as text
     except (TypeError, ValueError, OverflowError):
         return [np.nan]

@@ -1,4 +1,4 @@
-"""Checks of the values in a capture file: implausible ones, such as lengths in millimetres, are refused."""
+"""Checks that refuse implausible values in a capture file, such as lengths in millimetres."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,13 +15,13 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _DEVICE_M, _WORLD_M = 10.0, 100.0  # largest distance within the device, and of real points
 _SIGMA_ARCMIN = 600.0  # largest sigma: ten degrees
-_NEAREST_M = 0.03  # least distance of real points from the eye: nearer ones are in kilometres
+_NEAREST_M = 0.03  # least distance of real points from the eye; a smaller one is in kilometres
 _LEAST_SIGMA_ARCMIN = 1e-6  # least sigma: 0.06 milliarcseconds
-_SIGMAS_DIFFER = 1e4  # largest ratio of sigmas; a row of smaller sigma alone would decide the fit
+_SIGMAS_DIFFER = 1e4  # largest ratio of sigmas; beyond it, a single row would decide the fit
 _PANEL_MARGIN = (2.0, 0.02)  # margin outside the panel for noise: pixels, and share of the panel's side
-_MOST_OUTSIDE = 0.05  # largest share of panel pixels outside the margin: more belong to another panel
+_MOST_OUTSIDE = 0.05  # largest share of panel pixels outside the margin; a larger one is of another panel
 _ONE_PLACE_M = 5e-3  # largest error of a stage that returns to a position
-_BESIDE_EYE_BOX_M = 0.015  # the middle of all camera positions lies this close to it, whatever their design
+_BESIDE_EYE_BOX_M = 0.015  # largest distance of the mean camera position from the eye box, per axis
 _BOX_OF_PLACES = 1e-2  # least size of an eye box relative to the range of camera positions
 _PLAUSIBLE = {
     "capture": (0, LIMITS.index),
@@ -34,8 +34,8 @@ _PLAUSIBLE = {
     "stage": (-10, 10),
     "time_s": (-LIMITS.time_s, LIMITS.time_s),
 }
-"""Ranges of columns; of the stage in metres or radians."""
-_SMALL_PART = 0.2  # least share of the eye box that positions span: less looks like a wrong unit
+"""Range of each column; the stage is in metres or radians."""
+_SMALL_PART = 0.2  # least share of the eye box that positions span; a smaller one looks like a wrong unit
 
 
 def check_plausible(captures: Captures, columns: Mapping[str, NDArray[Any]], boxes: Mapping[str, EyeBox]) -> None:
@@ -47,7 +47,7 @@ def check_plausible(captures: Captures, columns: Mapping[str, NDArray[Any]], box
         boxes: its eye boxes by their names.
 
     Raises:
-        BadInputError: the sentence names the column, a value or a row, and the remedy; it lacks the file.
+        BadInputError: the message names the column, a value or a row, and the remedy, but not the file.
     """
     for name, box in boxes.items():
         require_eye_box(f"'{name}'", box.size)
@@ -153,16 +153,16 @@ def _require_places(capture: IntArray, viewpoint: FloatArray, box_m: FloatArray)
 
 
 def far_from_eye_box(viewpoint: FloatArray, box: EyeBox) -> FloatArray | None:
-    """Return the middle (3,) of the positions among viewpoints (n, 3), from the centre of the eye box, if it is far.
+    """Return the mean (3,) of the distinct viewpoints (n, 3) from the centre of the eye box, or None if it is near.
 
-    Such positions are in another frame than the eye box.
+    Positions far from the eye box are in another frame.
     """
     off = np.unique(viewpoint, axis=0).mean(axis=0) - box.centre
     return np.asarray(off) if np.any(np.abs(off) > 0.5 * box.size + _BESIDE_EYE_BOX_M) else None
 
 
 def _require_visits(columns: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse a visit at two positions, and visits that overlap in time: the camera stands still during a visit."""
+    """Refuse visits at two positions, and visits that overlap in time: the camera stands still during a visit."""
     rows = np.flatnonzero(columns["visit"] >= 0)
     keys = np.stack([columns[name][rows] for name in ("kind", "target_pose", "visit")], axis=1)
     visits, first, of_row = np.unique(keys, axis=0, return_index=True, return_inverse=True)
@@ -208,10 +208,10 @@ def _visit_name(visit: IntArray) -> str:
 def require_on_panel(pixel: FloatArray, size_px: ArrayLike) -> None:
     """Refuse panel pixels (n, 2) of another panel or unit: many outside the panel, or one far outside.
 
-    Noise puts pixels decoded at the edge a little beyond it; a few decoded wrongly are left to the fit, as outliers.
+    Noise moves some pixels slightly beyond the edge; the fit rejects a few wrongly decoded pixels as outliers.
 
     Raises:
-        BadInputError: the sentence has the share outside, and a row; it lacks the file.
+        BadInputError: the message has the share outside and one such pixel, but not the file.
     """
     size = np.asarray(size_px, dtype=np.float64)
     margin = _PANEL_MARGIN[0] + _PANEL_MARGIN[1] * size
@@ -241,7 +241,7 @@ def _refuse_repeated(columns: Mapping[str, NDArray[Any]]) -> None:
 
 
 def place_warnings(captures: Captures) -> list[str]:
-    """Warn if the camera positions span little of the eye box, as with a unit that is off by ten."""
+    """Warn if the camera positions span little of the eye box, as with a unit that is wrong by a factor of ten."""
     warnings = []
     for side in captures.parts:
         if len(np.unique(side.capture)) < 2:

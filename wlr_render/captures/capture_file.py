@@ -82,7 +82,7 @@ def load_observations(path: str | Path) -> Captures:
 
 
 class _Arrays(dict[str, NDArray[Any]]):
-    """Arrays of a file by their names; refuses a name that the file lacks."""
+    """Arrays of a file by name; a missing name raises `BadInputError`."""
 
     def __missing__(self, name: str) -> NDArray[Any]:
         raise BadInputError(f"the array '{name}' is missing; write the file again.")
@@ -104,7 +104,7 @@ def _columns(arrays: _Arrays) -> dict[str, NDArray[Any]]:
 
 
 def _sides(columns: Mapping[str, NDArray[Any]]) -> _Sides:
-    """Return the columns of the captures of each side that a file has."""
+    """Return the columns of the captures of each side in a file."""
     rows, feature = columns["kind"] == PANEL_PIXEL, columns["feature"]
     of_all = {name: values for name, values in columns.items() if name in ROWS}
     display = {name: values[rows] for name, values in of_all.items() if not name.startswith("target")}
@@ -114,7 +114,7 @@ def _sides(columns: Mapping[str, NDArray[Any]]) -> _Sides:
 
 
 def _sides_of_version_1(arrays: _Arrays) -> _Sides:
-    """Return the columns of the captures of each side in a file of version 1, which has a table for each."""
+    """Return the columns of the captures of each side in a file of version 1, which has one table for each side."""
     names = {"display": ["pixel"], "see_through": ["point", "target_pose"]}
     return {
         side: {name: arrays[f"{side}_{name}"] for name in (*_OF_VERSION_1, *names[side])}
@@ -177,7 +177,7 @@ def _common(arrays: _Arrays, name: str, sources: tuple[str, ...]) -> CommonError
 
 
 def _check_sizes(arrays: _Arrays) -> None:
-    """Refuse arrays of anything but numbers, and too many rows, before any of them is converted."""
+    """Refuse arrays that are not numeric or have too many rows, before any array is converted."""
     for name, values in arrays.items():
         if name != "header" and values.dtype.kind not in "iuf":
             raise BadInputError(f"'{name}' holds {values.dtype} values, not numbers; write the file again.")

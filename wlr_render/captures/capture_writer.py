@@ -63,7 +63,7 @@ def write_captures(path: str | Path, parts: Sequence[FeatureCaptures], panel: Pa
 
 
 def file_columns(parts: Sequence[FeatureCaptures]) -> dict[str, NDArray[Any]]:
-    """Return the columns of a file by their names, first the rows of the panel."""
+    """Return the columns of a file by name, with the rows of `parts` in order."""
     kinds = [np.full(len(part), part.kind) for part in parts]
     names = (*ROWS[:_FIRST], "feature", *ROWS[_FIRST:])
     columns = {name: joined_column(name, [getattr(part, name) for part in parts]) for name in names}

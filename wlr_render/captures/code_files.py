@@ -21,8 +21,8 @@ MANIFEST = "manifest.toml"
 _AXES = {"u": "u", "x": "u", "column": "u", "columns": "u", "v": "v", "y": "v", "row": "v", "rows": "v"}
 _ROLE = re.compile(r"[uv] (bit \d+( inverse)?|fringe .+ step \d+)")
 """Role of a picture of any code, other than white and black."""
-_LONGEST_S = 10_000.0  # longest exposure; a longer one is in another unit
-_SAME_EXPOSURE = 1.02  # largest ratio of exposures of one set: cameras round the time that they report
+_LONGEST_S = 10_000.0  # longest exposure time; a longer one is in another unit
+_SAME_EXPOSURE = 1.02  # largest ratio of exposure times in one set; cameras round the time that they report
 _SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 
 
@@ -34,8 +34,8 @@ class CodeFiles:
         pictures: files of each picture, one per exposure; empty if the picture is missing.
         exposures_s: exposure time of each; empty for a single exposure.
         names: names of the pictures.
-        taken: place of each picture in the order of taking; -1 of a missing one. Empty without `whites`.
-        whites: further photographs of white, each with its place in this order.
+        taken: position of each picture in the order of taking; -1 for a missing one. Empty without `whites`.
+        whites: further photographs of white, each with its position in this order.
     """
 
     pictures: tuple[tuple[Path, ...], ...]
@@ -49,7 +49,7 @@ class CodeFiles:
     def with_whites(
         cls, pictures: Sequence[tuple[Path, ...]], names: Sequence[str], order: Sequence[Path], whites: Sequence[Path]
     ) -> "CodeFiles":
-        """Return a set of single exposures, of files in the `order` of taking, with further photographs of white."""
+        """Return a set of single exposures with further photographs of white; `order` lists its files as taken."""
         if not whites:
             return cls(tuple(pictures))
         place = {path: number for number, path in enumerate(order)}
@@ -58,7 +58,7 @@ class CodeFiles:
 
     @property
     def paths(self) -> list[Path]:
-        """Return all files."""
+        """All files."""
         return [path for files in self.pictures for path in files] + [path for _, path in self.whites]
 
     @property
@@ -71,7 +71,7 @@ class CodeFiles:
         return kind.end_of_scale * (max(self.exposures_s) / min(self.exposures_s) if self.exposures_s else 1.0)
 
     def light(self, kind: PhotographFormat) -> LightGains | None:
-        """Return the gains of the pictures, which all are read for them; None without further photographs of white.
+        """Return the gains of the pictures, reading all of them; None without further photographs of white.
 
         Raises:
             BadInputError: as `read_photograph` and `light_gains`.
@@ -99,7 +99,7 @@ class CodeFiles:
         do not saturate it in the first picture, white, weighted by their time; because they are the same in the whole
         set, a black level has no effect on differences of pictures.
 
-        With further photographs of white the pictures are scaled to one light, see `light_gains`; float32 values.
+        With further photographs of white, the pictures are scaled to equal light (`light_gains`) as float32 values.
 
         Raises:
             BadInputError: as `read_photograph`; or white is missing from a set of several exposures.
@@ -145,7 +145,7 @@ def find_code_files(
     """Find the picture that each photograph of a folder shows.
 
     The criteria are, in this order: a manifest; names of `wlr-render pattern` (000_white.png); the numbers in the
-    names, with at most one gap; the order of the names, without a gap. Folders below hold one exposure each.
+    names, if the first and last are there; the order of the names, without a gap. Subfolders hold one exposure each.
 
     Args:
         folder: folder of the set.
@@ -156,7 +156,7 @@ def find_code_files(
 
     Raises:
         BadInputError: photographs are missing or left over, a role is unknown or given twice, or an exposure time is
-            unknown; the sentence names the file and the remedy.
+            unknown; the message names the file and the remedy.
     """
     stated: dict[str, float] = {}
     if manifest is not None or (folder / MANIFEST).is_file():
@@ -250,7 +250,7 @@ def _plain_role(role: str) -> str:
 
 
 def _by_name(paths: Sequence[Path], names: Sequence[str], order: str, folder: Path) -> tuple[tuple[Path, ...], ...]:
-    """Return the files of each picture, from their names alone."""
+    """Return the files of each picture, identified by name or number."""
     files: list[tuple[Path, ...]] = [()] * len(names)
     stated = [_stated(path) for path in paths]
     roles = [_number_of_role(each, names) for each in stated]
@@ -274,7 +274,7 @@ def _by_name(paths: Sequence[Path], names: Sequence[str], order: str, folder: Pa
 
 
 def _stated(path: Path) -> str:
-    """Return the text of a name without its number."""
+    """Return a file's stem without its leading number."""
     return re.sub(r"^\d+[_ -]", "", path.stem)
 
 
@@ -287,7 +287,7 @@ def _check_code(paths: Sequence[Path], stated: Sequence[str], roles: Sequence[in
         roles: picture of the code for each name; None without one.
 
     Raises:
-        BadInputError: the sentence names the first photograph of another code.
+        BadInputError: the message names the first such photograph.
     """
     plain = [_plain_role(each) for each in stated]
     foreign = [n for n, each in enumerate(plain) if roles[n] is None and _ROLE.fullmatch(each)]
@@ -307,7 +307,7 @@ def _check_code(paths: Sequence[Path], stated: Sequence[str], roles: Sequence[in
 
 
 def _numbered_places(paths: Sequence[Path], count: int) -> Sequence[int]:
-    """Return the positions in the set by the last numbers in the names; empty unless first and last are there."""
+    """Return positions in the set from the last number in each name; empty unless the first and last are there."""
     numbers = [re.findall(r"\d+", path.stem) for path in paths]
     if not all(numbers):
         return []
@@ -316,7 +316,7 @@ def _numbered_places(paths: Sequence[Path], count: int) -> Sequence[int]:
 
 
 def _exposure_folders(folder: Path) -> list[Path]:
-    """Return the folders below a folder without photographs, sorted by name with numbers in numeric order."""
+    """Return the subfolders with photographs of a folder that has none itself, sorted by name."""
     if not folder.is_dir() or any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
         return []
     return sorted(
@@ -327,7 +327,7 @@ def _exposure_folders(folder: Path) -> list[Path]:
 
 
 def _exposure_time(path: Path, stated: dict[str, float], name: str = "") -> float:
-    """Return the exposure time in seconds that is stated, in the files, or in the name of a folder."""
+    """Return the exposure time in seconds, from the manifest, the files, or the name of a folder."""
     if (name or path.name) in stated:
         return stated[name or path.name]
     in_file = exposure_of(path if path.is_file() else photographs_in(path)[0])

@@ -31,7 +31,7 @@ _GREEN = 1
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DisplayCaptures(FeatureCaptures):
-    """Observations of panel pixels from camera positions; attributes as in `FeatureCaptures`, and these.
+    """Observations of panel pixels from camera positions; further attributes in `FeatureCaptures`.
 
     Attributes:
         panel: the panel whose pixels were decoded.
@@ -51,7 +51,7 @@ class DisplayCaptures(FeatureCaptures):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SeeThroughCaptures(FeatureCaptures):
-    """Observations of real points through the optics; attributes as in `FeatureCaptures`, and these.
+    """Observations of real points through the optics; further attributes in `FeatureCaptures`.
 
     Attributes:
         point: (n, 3) the real point. A fit needs at least two depths.
@@ -99,7 +99,7 @@ class Captures:
 
     @property
     def parts(self) -> list[DisplayCaptures | SeeThroughCaptures]:
-        """Parts that are there, the display first."""
+        """Parts that exist, the display first."""
         return [part for part in (self.display, self.see_through) if part is not None]
 
     @property
@@ -109,7 +109,7 @@ class Captures:
 
     @property
     def both(self) -> "tuple[DisplayCaptures, SeeThroughCaptures]":
-        """Return display and see-through captures; refuses captures without one of them."""
+        """Display and see-through captures; `BadInputError` if one of them is missing."""
         if self.display is None or self.see_through is None:
             lacking = "display" if self.display is None else "see-through"
             raise BadInputError(f"the captures of {self.source.device} have no {lacking} part; add it.")
@@ -135,7 +135,7 @@ class Captures:
             )
 
     def in_colour(self, channel: int | None = None) -> "Captures":
-        """Return the captures with the panel in one colour channel: by default green, else the first that was shown.
+        """Return the captures with the panel in one colour channel: by default green, or the first if green is missing.
 
         Raises:
             BadInputError: no captures are left.
@@ -154,7 +154,7 @@ class Captures:
         return replace(self, display=display, see_through=see_through)
 
     def save(self, path: str | Path) -> Path:
-        """Write a capture file (.npz), whole or not at all, which `load_captures` reads; docs/files.md has the format.
+        """Write a capture file (.npz) atomically; `load_captures` reads it, and docs/files.md has the format.
 
         Raises:
             BadInputError: another suffix, or a file that cannot be written.
@@ -190,7 +190,7 @@ def concatenate(parts: Sequence[AnyCaptures]) -> AnyCaptures:
 
 
 def with_copies(captures: AnyCaptures, rows: IntArray, position: IntArray) -> AnyCaptures:
-    """Return captures and copies of rows (m,), as if of further camera positions `position` (m,) from 0.
+    """Return captures with copies of rows (m,) appended as new camera positions, numbered `position` (m,) from 0.
 
     Each copied visit is a separate visit, with a camera motion of the same size as in the original.
     """
@@ -206,7 +206,7 @@ def with_copies(captures: AnyCaptures, rows: IntArray, position: IntArray) -> An
     new, first = np.unique(new, return_index=True)
     originals = names[copied[first, 1]]
     if (prior := captures.motion) is not None:
-        here = np.isin(prior.capture, names)  # it may also name captures that were left out
+        here = np.isin(prior.capture, names)  # the prior may include captures that were left out
         size = np.concatenate([prior.size[here], prior.of(originals).size])
         changes["motion"] = CaptureMotionPrior(np.append(prior.capture[here], new), size, prior.log_sigma)
     if (common := captures.common) is not None:

@@ -1,4 +1,4 @@
-"""Decoded panel positions of a set of code photographs: per camera pixel, and as samples averaged over windows.
+"""Panel positions decoded from a set of code photographs: per camera pixel, and as samples averaged over windows.
 
 A thousand window averages carry almost as much information as a million neighbouring pixels.
 """
@@ -16,17 +16,17 @@ from wlr_render.numerics.arrays import FloatArray
 
 _SMOOTHED_PX = 3  # width of the windows that smoothed `Decoded.pixel`
 _REACH_PX = 4  # half width of a window, camera pixels
-_COARSE_SIGMA = 0.15  # sigma in cells of several panel pixels, in widths of a cell
+_COARSE_SIGMA = 0.15  # sigma of a position known to a cell of several panel pixels, in cell widths
 _SMOOTHING_GAIN = 7.31
 """Variance of the mean of 9 x 9 smoothed pixels relative to independent ones: (73 / 729)**2 of a photographed pixel's
 variance, against 1/9 of it in each smoothed pixel, times 81."""
 _CELL_HARMONICS = ((0.5, 0.1), (1, 0.46), (2, 0.14), (3, 0.08))  # harmonics of the cells, and variance shares
 _HIGHER_HARMONICS = 0.22  # variance share of the other harmonics
 _FILLED = 0.6  # share of a window's pixels that must be accepted
-_CLIP = 4.0  # a pixel further than this from its window's plane, in the window's own robust scale, is left out
+_CLIP = 4.0  # rejection threshold: distance of a pixel from its window's plane, in robust standard deviations
 _RIM_PX = 2  # width of the unused rim around a rejected pixel, camera pixels
-_ROUNDS = 5  # rounds of rejection: outliers tilt the plane that they are compared with, so that the worst go first
-_MAD = 1.4826  # median absolute deviation to standard deviation
+_ROUNDS = 5  # rounds of rejection; outliers tilt the fitted plane, so that the worst are rejected first
+_MAD = 1.4826  # factor from median absolute deviation to standard deviation
 
 
 class Rejection(IntEnum):
@@ -45,7 +45,7 @@ class Rejection(IntEnum):
     sentence: str
 
     def __new__(cls, number: int, sentence: str = "") -> "Rejection":
-        """Return a reason with this number."""
+        """Return the reason with this number."""
         reason = int.__new__(cls, number)
         reason._value_, reason.sentence = number, sentence
         return reason
@@ -130,14 +130,14 @@ class DecodedSamples:
 def sample(decoded: Decoded, count: int = 1500) -> DecodedSamples:
     """Sample about `count` panel positions over the accepted pixels, each from a plane fitted to its window.
 
-    The noise follows from the noise of the pixels, whose neighbours share photographed pixels (`_SMOOTHING_GAIN`).
+    The sigma follows from the noise of the pixels, which is correlated between neighbours (`_SMOOTHING_GAIN`).
     """
     height, width = decoded.rejection.shape
     every = max(1, int(np.sqrt(np.count_nonzero(decoded.accepted) / count)))
     steps = np.arange(-_REACH_PX, _REACH_PX + 1)
     rows, columns = (np.arange(_REACH_PX, size - _REACH_PX, every) for size in (height, width))
     v, u = (each.ravel() for each in np.meshgrid(rows, columns, indexing="ij"))
-    # Near rejected pixels, above all at the panel's edge, blur has mixed in incomplete light.
+    # Near rejected pixels, above all at the panel's edge, part of the blurred light is missing.
     inner = cv2.erode(decoded.accepted.astype(np.uint8), np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)).astype(bool)
     wanted = np.asarray(inner[v, u])
     v, u = v[wanted], u[wanted]
@@ -170,7 +170,7 @@ def sample(decoded: Decoded, count: int = 1500) -> DecodedSamples:
 
 
 def coarse_variance(cell_px: NDArray[np.uint8]) -> FloatArray:
-    """Return the least variance (...) in cells of several panel pixels, panel pixels squared.
+    """Return the least variance (...) of positions in cells of several panel pixels, panel pixels squared.
 
     Averaging does not reduce it. Fine bits fade by blur and by indirect light, which shifts the position: measured on
     photographs of a projector, docs/measured-data.md.
@@ -179,7 +179,7 @@ def coarse_variance(cell_px: NDArray[np.uint8]) -> FloatArray:
 
 
 def _structure_left(slope: FloatArray, cell_px: NDArray[np.uint8]) -> FloatArray:
-    """Return the variance (n,) of the panel's cells in the mean of a window over that in a smoothed pixel.
+    """Return the ratio (n,) of cell-error variances: mean of a window over smoothed pixel.
 
     Args:
         slope: (n, 2, 2) change of both panel axes along x (slope[:, 0]) and y, panel pixels per camera pixel.
@@ -218,7 +218,7 @@ def left_of_wave(frequency: FloatArray, width: int) -> FloatArray:
 def _planes(
     panel: FloatArray, kept: NDArray[np.bool_], du: NDArray[np.int64], dv: NDArray[np.int64]
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit least-squares planes (n, 3, 2), constant first, to windows (n, m, 2); returns residuals (n, m, 2), too."""
+    """Return least-squares planes (n, 3, 2), constant first, of windows (n, m, 2), and the residuals (n, m, 2)."""
     basis = np.stack([np.ones(len(du)), du, dv], axis=-1)
     weight = kept.astype(np.float64)
     values = np.where(kept[..., None], panel, 0.0)

@@ -1,4 +1,4 @@
-"""Features seen from known camera positions: what captures of a panel and of real points have in common.
+"""Features observed from known camera positions: the common part of captures of a panel and of real points.
 
 Everything is in the device frame (OpenXR), metres. One row is one measured direction.
 """
@@ -21,7 +21,7 @@ from wlr_render.numerics.polynomial import Polynomial
 PANEL_PIXEL, REAL_POINT = 0, 1
 """Kinds of features."""
 TARGET_POSES = "targets"
-"""Source of the errors of the targets' poses among common errors: who states them fitted the poses to the dots."""
+"""Source of target-pose errors among the common errors; only fits of the poses to the dots have this source."""
 
 
 @dataclass(frozen=True)
@@ -56,24 +56,24 @@ class CaptureMotionPrior:
         object.__setattr__(self, "log_sigma", float(self.log_sigma))
 
     def of(self, capture: IntArray) -> "CaptureMotionPrior":
-        """Return the prior of captures (m,), which may repeat, numbered 0..m - 1.
+        """Return the prior of captures (m,), which may repeat, renumbered 0..m - 1.
 
         Raises:
-            BadInputError: one of them is missing.
+            BadInputError: a capture is missing.
         """
         at = _positions_of(self.capture, capture, "'motion' has no size", "capture")
         return CaptureMotionPrior(np.arange(len(capture)), self.size[at], self.log_sigma)
 
 
 def point_terms(point: FloatArray) -> FloatArray:
-    """Return terms 1, X, Y, Z, X^2, X Y, Y^2 (n, 7) of real points (n, 3), by which `CommonErrors.target` changes."""
+    """Return the terms 1, X, Y, Z, X^2, X Y, Y^2 (n, 7) of real points (n, 3), as used by `CommonErrors.target`."""
     (x, y, z), one = point.T, np.ones(len(point))
     return np.stack([one, x, y, z, x * x, x * y, y * y], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
 class CommonErrors:
-    """Errors that captures share: change of the stated values per unit of each of k standard normal variables.
+    """Errors common to all captures: change of the stated values per unit of each of k standard normal variables.
 
     An error of a lens, a board, or a pose of the tracking camera or of a target is common to all captures, so that a
     fit cannot see it. The display and the see-through captures of an eye have the same variables.
@@ -83,11 +83,12 @@ class CommonErrors:
         capture: (m,) index of the camera position, or of the visit, as in `CaptureMotionPrior`.
         motion: (m, 6, k) motion of each camera about its entrance pupil, device axes: rotation vector in radians, then
             shift in metres.
-        lens: tangents (x, y) of a direction in the camera's frame (OpenXR axes) -> (2 * k), their change: along x by
-            each variable, then along y; None for an exact lens. It needs `device_from_camera` of the captures.
+        lens: tangents (x, y) of a direction in the camera's frame (OpenXR axes) -> (2 * k), change of x by each
+            variable, then of y; None for an exact lens. It needs `device_from_camera` of the captures.
         target_pose: (p,) index of the target's pose.
-        target: (p, 7, 3, k) change of its real points by `point_terms`, metres, device frame. A shift is in the first
-            term, a rotation w about the origin is w x (X, Y, Z), and a board's scale and bow are in the rest.
+        target: (p, 7, 3, k) coefficients of `point_terms` for the change of the target's real points, metres, device
+            frame. The first term is a shift, a rotation w about the origin is w x (X, Y, Z), and the other terms describe
+            a board's scale and bow.
         focus: (p, k) relative change of the tangents of `lens` in photographs of this target pose.
 
     Raises:
@@ -126,12 +127,12 @@ class CommonErrors:
         """Return the motions (m, 6, k) of captures (m,), which may repeat.
 
         Raises:
-            BadInputError: one of them is missing.
+            BadInputError: a capture is missing.
         """
         return self.motion[_positions_of(self.capture, capture, "the common errors have no motion", "capture")]
 
     def combined(self, root: FloatArray, sources: Sequence[str]) -> "CommonErrors":
-        """Return the errors in terms of other variables (m,) and sources: variables = root (k, m) @ others."""
+        """Return the errors in terms of m other variables with `sources`: old variables = root (k, m) @ new ones."""
         lens = self.lens
         if lens is not None:
             change = lens.coefficients.reshape(len(lens.orders), 2, -1) @ root
@@ -140,7 +141,7 @@ class CommonErrors:
         return CommonErrors(tuple(sources), self.capture, motion, lens, self.target_pose, target, focus)
 
     def changes(self, captures: "FeatureCaptures", rows: slice | IntArray) -> "CommonChanges":
-        """Return the change of the stated values of some rows of captures by each variable."""
+        """Return the change of the stated values of some rows of captures per unit of each variable."""
         names, visit = captures.visits
         motion, tangents = self.of(names)[visit[rows]], captures.tangents[rows]
         turned = tangents_by_turn(tangents) @ motion[:, :3]
@@ -156,7 +157,7 @@ class CommonErrors:
         return _positions_of(self.target_pose, captures.target_pose, "the common errors have nothing", "target pose")
 
     def _of_camera(self, captures: "FeatureCaptures", rows: slice | IntArray, pose: IntArray | None) -> FloatArray:
-        """Return the change (n, 2, k) of device tangents by lens and focus."""
+        """Return the change (n, 2, k) of device-frame tangents due to lens and focus."""
         if self.lens is None and not self.focus.any():
             return np.zeros((1, 2, 1))
         rotation = captures.device_from_camera[rows]
@@ -166,7 +167,7 @@ class CommonErrors:
             change += self.lens(in_camera).reshape(change.shape)
         if pose is not None:
             change += in_camera[:, :, None] * self.focus[pose][:, None]
-        # (tx, ty, -1) of the camera's frame becomes a vector of another length in the device frame.
+        # Rotated to the device frame, (tx, ty, -1) of the camera's frame no longer has z = -1.
         moved = rotation[:, :, :2] @ change
         depth = -np.einsum("ni,ni->n", rotation[:, 2], np.column_stack([in_camera, -np.ones(len(in_camera))]))
         tangents = captures.tangents[rows]
@@ -192,12 +193,12 @@ class CommonErrors:
 
 @dataclass(frozen=True)
 class CommonChanges:
-    """Change of the stated values of n rows of captures by each of k variables.
+    """Change of the stated values of n rows of captures per unit of each of k variables.
 
     Attributes:
         viewpoint: (n, 3, k) metres.
         tangents: (n, 2, k) tangents of the view direction.
-        point: (n, 3, k) of the real point, metres; None for the panel.
+        point: (n, 3, k) real point, metres; None for the panel.
     """
 
     viewpoint: FloatArray
@@ -206,7 +207,7 @@ class CommonChanges:
 
 
 def _positions_of(indices: IntArray, wanted: IntArray, what: str, noun: str) -> IntArray:
-    """Return the positions of the indices (m,) in `indices` (k,); refuses an index that is missing."""
+    """Return the positions (m,) of the `wanted` indices in `indices` (k,); a missing one raises `BadInputError`."""
     missing = np.setdiff1d(wanted, indices)
     if missing.size:
         raise BadInputError(f"captures: {what} for {noun} {missing[0]}; give one for every {noun}.")
@@ -215,9 +216,9 @@ def _positions_of(indices: IntArray, wanted: IntArray, what: str, noun: str) -> 
 
 
 def column(*row: int, whole: bool = False, optional: bool = False) -> Any:
-    """Return a field of captures with an array of shape `row` (-1: any length) for each capture.
+    """Return a dataclass field with an array of shape `row` (-1: any length) for each row of captures.
 
-    An optional one is -1 (whole numbers) or NaN where it was not recorded.
+    An optional field is -1 (whole numbers) or NaN where not recorded.
     """
     absent = np.full([max(size, 0) for size in row], -1 if whole else np.nan)
     rule = {"row": row, "whole": whole, "optional": optional}
@@ -228,7 +229,7 @@ def column(*row: int, whole: bool = False, optional: bool = False) -> Any:
 class FeatureCaptures:
     """Observations of features of one kind from camera positions.
 
-    One value serves for all rows of a column. `visit` and the columns after it are -1 or NaN where not recorded.
+    A single value is repeated for all rows. `visit` and the columns after it are -1 or NaN where not recorded.
 
     Attributes:
         device: device name.
@@ -338,7 +339,7 @@ class FeatureCaptures:
 
 
 def summary_of(parts: Sequence[FeatureCaptures]) -> str:
-    """Return the summary of one eye's captures for notebooks."""
+    """Return an HTML summary of one eye's captures, for notebooks."""
     columns = ("captures", "directions", "camera positions", "their range, x, y, z (mm)", "targets", "sigma (arcmin)")
     rows = []
     for part in parts:
@@ -359,10 +360,10 @@ def columns_of(kind: type[FeatureCaptures]) -> list[str]:
 
 
 def column_of(kind: type[FeatureCaptures], name: str, value: ArrayLike, count: int) -> Any:
-    """Return a column of `count` captures; one value serves for all.
+    """Return a column of `count` rows; a single value is repeated.
 
     Raises:
-        BadInputError: the shape does not fit, or a number that each capture needs is not finite.
+        BadInputError: the shape does not fit, or a number of a required column is not finite.
     """
     rule = next(each.metadata for each in fields(kind) if each.name == name)
     array = np.asarray(value)
@@ -377,7 +378,7 @@ def column_of(kind: type[FeatureCaptures], name: str, value: ArrayLike, count: i
 def rows_of(
     name: str, value: ArrayLike, shape: tuple[int, ...], *, finite: bool = True, what: str = "captures"
 ) -> FloatArray:
-    """Return an array of numbers of this shape; refuses another shape, and NaN where it must be finite."""
+    """Convert to an array of this shape; refuse another shape, and, if `finite`, numbers that are not finite."""
     array = np.asarray(value)
     if array.shape != shape:
         raise BadInputError(f"{what}: '{name}' must have shape {shape}, not {array.shape}.")
@@ -388,7 +389,7 @@ def rows_of(
 
 
 def indices_of(name: str, value: ArrayLike, count: int, what: str = "captures") -> IntArray:
-    """Return `count` whole numbers; refuses anything else."""
+    """Convert to an array of `count` whole numbers; refuse anything else."""
     array = np.asarray(value)
     if array.shape != (count,) or not np.issubdtype(array.dtype, np.integer):
         raise BadInputError(
