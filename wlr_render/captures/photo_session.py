@@ -27,10 +27,10 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 CHANNELS = ("red", "green", "blue")
 """Primaries of a panel."""
 CODE_ORDERS = ("as shown", "opencv")
-"""Orders of the photographs in a folder of a panel's code: the order of `Pattern.names`, or of OpenCV's Gray code."""
+"""Orders of a code's photographs in their folder: as in `Pattern.names`, or as in OpenCV's Gray code."""
 
 FAR_MM = 1e4
-"""Largest plausible length of a bench: beyond it, the unit is micrometres."""
+"""Largest plausible length of a bench; a larger one is in micrometres."""
 _DIGITS = 9  # decimals of lengths and angles in session.toml
 _DIRECTION = Quantity(lambda value, axes: axes @ value / np.linalg.norm(value), VECTOR.to_file)
 _NOT_ZERO = Rule("a vector along the axis, or left out if it is unknown", lambda value: bool(np.any(value)))
@@ -40,8 +40,8 @@ _REGIONS = Rule(
 
 
 def _pose_within(most_mm: float) -> Keys:
-    """Return the form of the pose of a camera, or of a board, which has OpenCV's axes whatever those of the file."""
-    least_mm = 0.5  # a shorter translation is in metres
+    """Return the keys of a camera's or board's pose; both have OpenCV's axes in any file."""
+    least_mm = 0.5  # least length of a translation; a shorter one is in metres
     rule = Rule(
         f"0, or {least_mm:g} to {most_mm:g} mm long: lengths are millimetres",
         lambda value: bool(not np.any(value) or least_mm <= np.linalg.norm(value) <= most_mm),
@@ -77,7 +77,7 @@ class StageTable:
 
 
 CAMERA_POSE = _pose_within(1000.0)
-"""Form of the tracking camera's pose."""
+"""Keys of the tracking camera's pose."""
 GAUGE = Key(
     "gauge",
     type=str,
@@ -86,7 +86,7 @@ GAUGE = Key(
         lambda value: re.fullmatch(r"camera|target \d{1,7}", value) is not None,
     ),
 )
-"""Form of the choice of the device frame; see `PhotoSession`."""
+"""Key for the choice of the device frame; see `PhotoSession`."""
 POSE_SIGMA = Keys(
     (
         Key("sigma_deg", DEGREES, above=0, most=180, digits=_DIGITS),
@@ -95,7 +95,7 @@ POSE_SIGMA = Keys(
     lambda *sigma: sigma,
     lambda sigma: sigma,
 )
-"""Form of the standard deviations of a pose: rotation, radians, and translation, metres."""
+"""Keys of the standard deviations of a pose: rotation, radians, and translation, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,9 +218,9 @@ class BoardPhotograph(SessionEntry):
     Attributes:
         name: path from the session's folder, the photograph's name in reports.
         target_pose: index of the target's position.
-        regions: (n, 4) lowest u, v and highest u, v of the parts of the picture that see the target past the optics,
+        regions: (n, 4) least u, v and greatest u, v of the image regions that show the target past the optics,
             pixels from the outer corner of the top-left pixel; None for the whole picture.
-        other_regions: (n, 4) parts of a photograph through the optics that do not show the target through them.
+        other_regions: (n, 4) regions of a photograph through the optics that do not show the target through them.
     """
 
     name: Annotated[str, Key("photograph")]
@@ -352,7 +352,7 @@ class PhotoSession:
         return self.board if given is None or given.board is None else given.board
 
     def for_eye(self, eye: str) -> "PhotoSession":
-        """Return the session of one of its eyes: photographs of its panel and through its optics, all others shared."""
+        """Return the session of one eye: photographs of its panel and through its optics, and all shared ones."""
         return replace(
             self,
             eyes=(eye,),

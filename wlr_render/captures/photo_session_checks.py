@@ -1,4 +1,4 @@
-"""Checks of session.toml: each contradiction or gap is refused in one sentence."""
+"""Checks that refuse contradictions and gaps in session.toml."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from wlr_render.io.input_files import LIMITS
 from wlr_render.io.toml_files import Table
 
 _MM = 1e-3
-_TRAVEL_MM = (0.5, 500.0)  # plausible travel: beyond it, the unit is metres or micrometres
+_TRAVEL_MM = (0.5, 500.0)  # range of plausible travel; outside it, the unit is metres or micrometres
 
 Node = tuple[str, object]
 _DEVICE: Node = ("device", None)
@@ -28,7 +28,7 @@ def check_session(file: Table, session: PhotoSession) -> None:
     """Refuse a session whose photographs cannot be placed in the device frame, or that contradicts itself.
 
     Raises:
-        BadInputError: it is not usable; the sentence has the key and the remedy.
+        BadInputError: it is not usable; the message has the key and the remedy.
     """
     _check_lists(file, session)
     _check_frame(file, session)
@@ -141,7 +141,7 @@ def _check_regions(file: Table, session: PhotoSession) -> None:
 
 
 def _check_links(file: Table, session: PhotoSession) -> None:
-    """Refuse target poses and camera positions that do not follow from the device frame."""
+    """Refuse target poses and camera positions that nothing links to the device frame."""
     reachable = _reachable(session)
     for name, photographs in (("bare", session.bare), ("beside", session.beside), ("see_through", session.see_through)):
         for number, photograph in enumerate(photographs, start=1):
@@ -179,7 +179,7 @@ def _reachable(session: PhotoSession) -> set[Node]:
 
 
 def _camera(session: PhotoSession, entry: SessionEntry) -> Node:
-    """Return the node that fixes the camera: its orientation on the stage, or without a stage its position."""
+    """Return the node of the camera's pose: its orientation on the stage or, without a stage, its position."""
     return ("camera", entry.place if session.stage is None else entry.orientation)
 
 
@@ -197,7 +197,7 @@ def _no_camera(session: PhotoSession, entry: SessionEntry) -> str:
 
 
 def _check_axes(file: Table, session: PhotoSession) -> None:
-    """Refuse axes that are neither stated nor measurable from photographs of a target past or without the optics."""
+    """Refuse moving axes without a stated direction or photographs of a target, past or without the optics."""
     if session.stage is None or session.bare or session.beside:
         return
     of_optics: list[SessionEntry] = [*session.see_through, *session.display]

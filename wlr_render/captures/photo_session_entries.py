@@ -42,7 +42,7 @@ def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, 
         The stage, None for a camera without one, and the tolerance of positions in metres.
 
     Raises:
-        BadInputError: a key is faulty; the sentence names it.
+        BadInputError: a key is faulty; the message names it.
     """
     table = file.table("stage") if file.has("stage") else Table({}, file.where)
     stated, stage = read_part(StageTable, table), StageDescription()
@@ -75,7 +75,7 @@ def written_stage(session: PhotoSession, axes: FloatArray) -> dict[str, Any]:
 
 
 def _place_of_axes(in_camera: bool, axes: FloatArray) -> Place:
-    """Return the frame of the stage's axes; a camera has OpenCV's axes, whatever those of the file."""
+    """Return the frame of the stage's axes: the camera's, which has OpenCV's axes in any file, or the file's."""
     return Place(axes=np.eye(3) if in_camera else axes)
 
 
@@ -96,8 +96,7 @@ class EntryFormat(Place):
     def turn(self) -> FloatArray:
         """Matrix (m, m) from readings in the file to readings along the axes of the stage.
 
-        Readings of three linear axes are along the file's x, y and z; their signs are free while their directions are
-        unknown.
+        Readings of three linear axes of unknown directions are along the file's x, y and z, with unknown signs.
         """
         return self.axes if self.stage is None or _is_plain(self.stage) else np.eye(len(self.stage.axes))
 
@@ -152,7 +151,7 @@ class EntryFormat(Place):
         return np.asarray(self.stage.units * (self.turn @ reading))
 
     def written(self, entry: SessionEntry, place: str | None, on_stage: bool = True) -> dict[str, Any]:
-        """Serialise an entry, with `place` if given; `on_stage` for the eyeball camera."""
+        """Return the keys of an entry, with `place` if given; `on_stage` is True for the eyeball camera."""
         reading, key = None, "stage_mm"
         if entry.stage is not None and self.stage is not None:
             reading = self.turn.T @ (entry.stage / self.stage.units)
@@ -169,11 +168,11 @@ def stage_lists(session: PhotoSession) -> dict[str, Sequence[SessionEntry]]:
 
 
 def with_places(session: PhotoSession, form: EntryFormat | None = None) -> PhotoSession:
-    """Return a session in which entries without a position get the name that follows from their stage reading.
+    """Return a session in which entries without a position name get one from their stage reading.
 
     Args:
-        session: its entries have a reading, or a place.
-        form: format of the file that the names follow; by default the format of a saved session.
+        session: session with a reading or a position name in each entry.
+        form: format of the file, for the names; by default the format of a saved session.
     """
     form = form or EntryFormat(session.folder, FRAMES["opencv"], eyes=session.eyes, stage=session.stage)
     lists = stage_lists(session)

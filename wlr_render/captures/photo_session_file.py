@@ -49,8 +49,8 @@ FILE = "session.toml"
 FORMAT = "photo-session"
 VERSION = 1
 EYES = ("left", "right")
-_EYE_BOX_LEAST_MM = 0.5  # below, the unit is metres
-_MOST_SIGMA = 1e6  # largest sigma: it says that nothing is known
+_EYE_BOX_LEAST_MM = 0.5  # least size; a smaller one is in metres
+_MOST_SIGMA = 1e6  # largest sigma; it means that nothing is known
 _SOURCES = ("intrinsics", "focal_px", "lens_file")
 Value = TypeVar("Value")
 
@@ -60,7 +60,7 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
 
     Raises:
         BadInputError: the file is missing or breaks the format, its lengths cannot be millimetres, or it contradicts
-            itself; the sentence names the key.
+            itself; the message names the key.
     """
     root = Path(folder)
     if not (root / FILE).is_file():
@@ -140,7 +140,7 @@ def _of_each_eye(
 
 
 def _panels(file: Table, root: Path, eyes: Sequence[str]) -> tuple[dict[str, SessionPanel], DecodeOptions, CodeTable]:
-    """Return the panels, and what [code] states of its photographs."""
+    """Return the panels, and the decoding thresholds and other keys of [code]."""
     sizes = _of_each_eye(file, "panel", eyes, _panel)
     table = file.table("code")
     name = table.text("pattern", choices=list(PATTERNS))
@@ -264,7 +264,7 @@ def read_camera(table: Table, folder: Path) -> SessionCamera:
         folder: folder of the session.
 
     Raises:
-        BadInputError: a key is missing, faulty or contradicts another; the sentence names it.
+        BadInputError: a key is missing, faulty or contradicts another; the message names it.
     """
     size, form = (table.whole("width_px", 1), table.whole("height_px", 1)), PhotographFormat.from_table(table, folder)
     require_pixels(table.where, size, "correct 'width_px' and 'height_px'")
@@ -298,7 +298,7 @@ def _by(size: tuple[int, int]) -> str:
 
 
 def _stated_camera(table: Table, size: tuple[int, int], lens: str) -> LensCamera:
-    """Return the camera that a table states; the number of distortion terms tells the kind of an "auto" lens."""
+    """Return the camera stated in a table; the number of distortion terms determines the kind of an "auto" lens."""
     core = np.concatenate([table.vector("focal_px", 2, above=0), table.vector("opencv_centre_px", 2)])
     terms = table.numbers("distortion") if table.has("distortion") else np.zeros(0)
     if lens == "auto":

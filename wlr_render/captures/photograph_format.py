@@ -25,7 +25,7 @@ MOSAICS = {
     "bggr": cv2.COLOR_BAYER_BGGR2RGB,
 }
 _LUMA = np.array([0.299, 0.587, 0.114])  # weights of ITU-R BT.601, as in cv2.COLOR_RGB2GRAY
-_LINEARISED = 65535  # full scale of linearised values: finer than any camera's
+_LINEARISED = 65535  # full scale of linearised values, finer than any camera's
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class PhotographFormat:
         saturation: smallest stored value that counts as saturated, right-justified; None: the largest value of `bits`.
         left_justified: True if values of less than 16 bits fill the upper bits of 16. None: True where all lower bits
             of a picture are zero.
-        black_level: stored value without light, which affects only `gamma` and brackets, since all else is differences.
+        black_level: stored value without light. It affects only `gamma` and merged exposures, because everything else
+            uses differences of photographs.
         gamma: the stored value is proportional to light ** (1 / gamma).
         channel: channel of coloured files and mosaics: "grey", "red", "green" or "blue".
         mosaic: colours of the top-left 2 x 2 pixels of raw files, e.g. "rggb"; empty without a mosaic.
@@ -151,7 +152,7 @@ class PhotographFormat:
         return linear
 
     def _right_justified(self, stored: StoredValues, name: str) -> tuple[StoredValues, float]:
-        """Return the values, shifted down if they fill the upper bits, and the smallest saturated value."""
+        """Return the values, right-justified if they fill the upper bits, and the smallest saturated value."""
         if 8 * stored.itemsize < self.bits:
             raise BadInputError(
                 f"{name}: has {8 * stored.itemsize} bits a pixel, too few for a camera with values up to "
@@ -212,7 +213,7 @@ def is_left_justified(stored: StoredValues, bits: int) -> bool:
 
 
 def _rounded(light: StoredValues, largest: int) -> StoredValues:
-    """Return a copy with no value above `largest`."""
+    """Return a copy clipped to `largest`."""
     return np.minimum(light, light.dtype.type(min(largest, np.iinfo(light.dtype).max)))
 
 

@@ -19,19 +19,19 @@ from wlr_render.io.input_files import LIMITS, as_bad_input, decode_image, read_b
 Photograph = NDArray[np.unsignedinteger[Any]]
 """(h, w) linear values of one channel, uint8 or uint16; a saturated pixel has its format's `full_scale`."""
 CodeImage = Photograph | NDArray[np.float32]
-"""A photograph of a code, or several exposures of one picture merged."""
+"""A photograph of a code picture, or several merged exposures of it."""
 
 _AGAIN = "take it again, or leave it out"
 _EXIF, _EXPOSURE_TIME = 0x8769, 0x829A  # EXIF tags
-_BLACK = 0.01  # share of full scale: a picture whose brightest twentieth is darker is black
-_BRIGHTEST = 99.5  # percentile of grey values that becomes white for a detector of 8 bits
-_WELL_EXPOSED = 128.0  # grey value from which pictures of 8 bits stay unchanged
+_BLACK = 0.01  # largest 95th percentile of a black picture, as a share of full scale
+_BRIGHTEST = 99.5  # percentile of grey values that becomes white for detectors, which need 8 bits
+_WELL_EXPOSED = 128.0  # bright percentile from which 8-bit pictures stay unchanged
 _RAW = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf")
 SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg", ".npy", *_RAW)
 
 
 class BadPhotographError(BadInputError):
-    """An unusable photograph, e.g. black or cut short; the message names it and the reason."""
+    """Error for an unusable photograph, e.g. black or cut short; the message names it and the reason."""
 
 
 def read_photograph(path: str | Path, kind: PhotographFormat | None = None) -> Photograph:
@@ -133,7 +133,7 @@ def exposure_of(path: Path) -> float | None:
 def check_photograph(
     image: CodeImage, size_px: tuple[int, int], kind: PhotographFormat, name: str, merged_from: float | None = None
 ) -> None:
-    """Refuse a photograph of another size than its camera's, or that is black or blown out.
+    """Refuse a photograph that is black, blown out, or not of its camera's size.
 
     Args:
         image: (h, w).

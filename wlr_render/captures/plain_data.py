@@ -13,7 +13,7 @@ _OPENCV_DIRECTIVE = "%YAML:"  # OpenCV's first line up to version 4, which YAML 
 
 
 def read_mapping(file: Path, text: str, kind: str, remedy: str) -> dict[str, Any]:
-    """Return the keys and values of a YAML or JSON text, of the first YAML document that is not empty.
+    """Return the keys and values of a YAML or JSON text; of several YAML documents, the first non-empty one.
 
     Args:
         file: path of the file, for errors.
@@ -22,7 +22,7 @@ def read_mapping(file: Path, text: str, kind: str, remedy: str) -> dict[str, Any
         remedy: remedy, without a full stop.
 
     Raises:
-        BadInputError: the text is neither YAML nor JSON, or holds no keys; the sentence has the line.
+        BadInputError: the text is neither YAML nor JSON, or holds no keys; the message has the line.
     """
     text = text.lstrip()
     if text.startswith(_OPENCV_DIRECTIVE):
@@ -45,5 +45,5 @@ def _first_document(text: str) -> Any:
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
         raise ValueError(f"{line}{error.problem}") from error
-    except AttributeError as error:  # raised by PyYAML
+    except AttributeError as error:  # raised by PyYAML for a value that does not match its tag
         raise ValueError("a value is not of its tag's type") from error

@@ -29,9 +29,9 @@ from wlr_render.io.kept import sha256_of
 from wlr_render.work.progress import SILENT, Progress
 from wlr_render.work.workers import LOCAL, WorkerPool, as_finished
 
-_VERSION = 7  # version of the reader: results of another version are read again
+_VERSION = 7  # version of the reader; photographs read by another version are read again
 _THUMBNAIL_PX = 160  # width of the picture of rejections that is kept for a decoded set
-_MOST_WORKERS = 3  # most workers by default: decoding 1280 x 1024 pixels takes half a gigabyte in each process
+_MOST_WORKERS = 3  # most workers by default, because decoding 1280 x 1024 pixels takes half a gigabyte in each process
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,9 @@ class PanelReading:
     Attributes:
         samples: panel positions at camera pixels.
         counts: (number of reasons,) number of camera pixels for each `Rejection`.
-        fates: (h, w) uint8 `Rejection` of a thinned-out picture.
+        fates: (h, w) uint8 `Rejection` of a subsampled picture.
         extent: (2, 2) lowest and highest panel position accepted.
-        missing: names of the pictures without a photograph; the others replace them.
+        missing: names of the pictures without a photograph; decoding did without them.
         file_note: sentence about the format of the files, if it was detected and not stated.
         light_note: sentence about light that was repaired, where white was photographed again.
     """
@@ -126,7 +126,7 @@ def read_session(
         progress: progress display.
     """
     panels, boards = list(_panel_tasks(session)), list(_board_tasks(session))
-    tasks: list[_Task] = [*panels, *boards]  # the long ones first
+    tasks: list[_Task] = [*panels, *boards]  # longest tasks first
     kept = {number: arrays for number, task in enumerate(tasks) if (arrays := _kept(task, folder))}
     waiting = [(number, task, folder) for number, task in enumerate(tasks) if number not in kept]
     finished = as_finished(_do_task, waiting, workers.at_most(_MOST_WORKERS), folder)
@@ -230,7 +230,7 @@ class _PanelTask:
         }
 
     def _check_first(self, files: CodeFiles) -> None:
-        """Check the first lit picture of the panel, its exposures merged, on behalf of all.
+        """Check one picture for the whole set: the first lit one, with its exposures merged.
 
         Raises:
             BadInputError: as `check_photograph`.
@@ -255,13 +255,13 @@ _Task = _BoardTask | _PanelTask
 
 
 def _do_task(work: tuple[int, _Task, Path]) -> tuple[int, dict[str, NDArray[Any]] | Excluded]:
-    """Read photographs and keep the result; return the task's number, and the result or why it failed."""
+    """Read photographs and save the result; return the task's number, and the result or the reason of the failure."""
     number, task, folder = work
     try:
-        # Copies, because a view would hold the whole picture that it is of.
+        # Copies, because a view would keep the whole picture in memory.
         arrays = {name: np.array(value) for name, value in task.read().items()}
     except BadInputError as error:
-        # A failed photograph of the board loses one position; a code without one of its pictures is lost as a whole.
+        # A failed photograph of the board loses one view; a failed picture of a code loses the whole set.
         one_less = isinstance(error, BadPhotographError) and isinstance(task, _BoardTask)
         text = str(error)
         for prefix in (f"{task.path}: ", f"{task.name}: ", f"{task.path}/", f"{task.name}/"):
@@ -282,7 +282,7 @@ def _kept(task: _Task, folder: Path) -> dict[str, NDArray[Any]] | None:
 
 
 def _kept_path(task: _Task, folder: Path) -> Path:
-    # The hash distinguishes names that are otherwise equal; 50 characters are 200 bytes at most.
+    # The hash distinguishes truncated names; 50 characters are 200 bytes at most, within file systems' limit.
     name = task.name.replace("/", "__")[-50:]
     return folder / f"{name}-{sha256_of(task.name.encode())[:16]}.npz"
 
@@ -300,7 +300,7 @@ def _sha256(path: Path, date_ns: int) -> str:
 
 
 def _why_nothing(decoded: Decoded) -> str:
-    """Return the reason for which most of the camera's lit pixels were rejected."""
+    """Return the reason why most of the camera's lit pixels were rejected."""
     counts = decoded.counts()
     counts.pop(Rejection.DARK, None)
     if not counts:

@@ -97,8 +97,8 @@ class Column:
 
 
 _MOST = {"": LIMITS.index, "mm": 1e5, "px": 1e6, "s": LIMITS.time_s, "mm/s": 2e4, "rad/s": 20.0}
-"""Largest plausible value by unit: a target or a head within 100 m, a head that turns 1100 degrees a second."""
-_MOST_IN_DEVICE_MM = 1e4  # within 10 m of the device: stages, targets and pupils
+"""Largest plausible value by unit: a target or head within 100 m, a head that turns at 1100 degrees a second."""
+_MOST_IN_DEVICE_MM = 1e4  # largest distance of stages, targets and pupils from the device
 
 
 @dataclass(frozen=True)

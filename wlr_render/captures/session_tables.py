@@ -17,8 +17,8 @@ from wlr_render.io.delimited_text import STATED_SEPARATOR, is_number, with_comma
 from wlr_render.io.input_files import LIMITS, as_bad_input, decode_text, gunzip, read_bytes, shown
 from wlr_render.numerics.arrays import FloatArray
 
-_UNIT_TOLERANCE = 1e-3  # largest error of a unit vector's length: numbers of four digits
-_LONGEST_LINE = 10_000  # characters: a hundred columns of a hundred characters
+_UNIT_TOLERANCE = 1e-3  # largest error of a unit vector's length, from numbers of four digits
+_LONGEST_LINE = 10_000  # most characters of a line: a hundred columns of a hundred characters
 _UNIT_SUFFIX = re.compile(r"(_(mm|cm|m|um|inch|deg|rad|mrad|arcmin|px|s|ms|us|min|h))+$")
 
 
@@ -65,7 +65,7 @@ def _text(path: Path) -> str:
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Return the non-blank lines with their numbers, with commas between cells and decimal points."""
+    """Return the numbered non-blank lines, converted to comma separators and decimal points."""
     lines = [(number, text) for number, text in enumerate(_text(path).split("\n"), 1) if text.strip()]
     if lines and STATED_SEPARATOR.fullmatch(lines[0][1].strip()):
         lines = lines[1:]
@@ -184,7 +184,7 @@ def _check_captures(path: Path, columns: Columns, schema: Schema, numbers: Seque
         differs = f"{capture} has another setup ({names}) in line {{}}; give each setup its own capture number"
         _refuse(path, numbers, of_capture, both, differs)
     if "time_s" not in setup:
-        return  # Without times, captures taken twice from one position are equal.
+        return  # without times, repeated captures from one position have equal setups
     same = f"the capture in line {{}} has the same setup ({names}); keep one of the two"
     _refuse(path, numbers, of_setup, both, same)
 
@@ -203,7 +203,7 @@ def _first_alike(columns: Columns, names: Sequence[str]) -> NDArray[np.int64]:
 def _refuse(
     path: Path, numbers: Sequence[int], earlier: NDArray[np.int64], group: NDArray[np.int64], sentence: str
 ) -> None:
-    """Refuse the first row whose `earlier` row is not its `group`."""
+    """Refuse the first row where `earlier`, the first row like it, differs from `group`."""
     wrong = np.flatnonzero(earlier != group)
     if wrong.size:
         row = int(wrong[0])
