@@ -87,8 +87,8 @@ class CommonErrors:
             variable, then of y; None for an exact lens. It needs `device_from_camera` of the captures.
         target_pose: (p,) index of the target's pose.
         target: (p, 7, 3, k) coefficients of `point_terms` for the change of the target's real points, metres, device
-            frame. The first term is a shift, a rotation w about the origin is w x (X, Y, Z), and the other terms describe
-            a board's scale and bow.
+            frame. The first term is a shift, a rotation w about the origin is w x (X, Y, Z), and the other terms
+            describe a board's scale and bow.
         focus: (p, k) relative change of the tangents of `lens` in photographs of this target pose.
 
     Raises:
