@@ -35,24 +35,24 @@ class AssemblyError:
 
 
 SOURCE = "spread (1.48 MAD) of 16 calibrated Project North Star units about their CAD"
-COMBINER_TILT = AssemblyError("combiner_tilt", ("x", "y", "z"), "deg", (1.0, 1.0, 1.0))  # 1.3 to 2.4 to the screen
+# Plausible sizes; the comments give the measured spreads.
+COMBINER_TILT = AssemblyError("combiner_tilt", ("x", "y", "z"), "deg", (1.0, 1.0, 1.0))  # relative to panel: 1.3-2.4
 COMBINER_SHIFT = AssemblyError("combiner_shift", ("x", "y", "z"), "mm", (1.5, 1.5, 1.5))  # 1.0, 2.0, 1.6
 PANEL_SHIFT = AssemblyError("panel_shift", ("u", "v", "normal"), "mm", (1.0, 1.0, 0.5))  # 0.7, 2.5, 0.5
-PANEL_ROTATION = AssemblyError("panel_rotation", ("u", "v", "roll"), "deg", (1.0, 1.0, 1.0))  # 1.3 to 2.4, its normal
+PANEL_ROTATION = AssemblyError("panel_rotation", ("u", "v", "roll"), "deg", (1.0, 1.0, 1.0))  # its normal: 1.3 to 2.4
 ASSEMBLY_ERRORS = (COMBINER_TILT, COMBINER_SHIFT, PANEL_SHIFT, PANEL_ROTATION)
 
 ASSEMBLY_NAMES = tuple(f"{error.name}_{axis}_{error.unit}" for error in ASSEMBLY_ERRORS for axis in error.axes)
 """Names of the twelve values of `assembled`, with their units."""
 ASSEMBLY_SIZES = np.concatenate([error.plausible_size for error in ASSEMBLY_ERRORS])
-"""(12,) their plausible sizes, standard deviations."""
+"""(12,) plausible sizes of these values, standard deviations."""
 
 
 def assembled(optics: EyeOptics, values: FloatArray) -> EyeOptics:
     """Return the optics with assembly errors `values` (12,), in the order of `ASSEMBLY_NAMES`.
 
     Zeros leave the optics unchanged. All surfaces move together: they are turned about the combiner's middle, then
-    shifted. The panel moves in its own
-    frame: it is shifted along its axes, then turned about its centre.
+    shifted. The panel moves in its own frame: it is shifted along its axes, then turned about its centre.
     """
     tilt, shift, panel_shift, panel_rotation = np.asarray(values, dtype=np.float64).reshape(4, 3)
     combiner = combiner_shifted(combiner_turned(optics, tilt), shift)
@@ -90,7 +90,7 @@ def panel_turned(optics: EyeOptics, rotation_deg: FloatArray) -> EyeOptics:
 
 
 def as_a_whole(optics: EyeOptics, moved_from_device: FloatArray) -> EyeOptics:
-    """Return the optics with all surfaces and the panel moved together by a rigid transform (4, 4); not the eye box."""
+    """Return the optics with all surfaces and the panel, but not the eye box, moved by a rigid transform (4, 4)."""
     panel = optics.panel
     moved = replace(panel, device_from_panel=moved_from_device @ panel.device_from_panel)
     return replace(_surfaces_moved(optics, moved_from_device), panel=moved)

@@ -1,7 +1,7 @@
-"""Form errors of a combiner: heights added to its surfaces, over the place from its middle.
+"""Form errors of a combiner: heights added to its surfaces, as functions of the position from its middle.
 
-Heights raise a surface away from the eye. Places are to the right and up from where the line of sight straight ahead
-meets the combiner, in the device frame.
+Heights raise a surface away from the eye. Positions are measured right and up from the point where the straight-ahead
+line of sight meets the combiner, in the device frame.
 """
 
 from collections.abc import Callable
@@ -36,11 +36,11 @@ def _outermost(optics: EyeOptics) -> set[str]:
 
 
 SURFACES = {"all surfaces": _all, "reflecting surfaces": _reflecting, "outer surface": _outermost}
-"""Names of the surfaces of an eye's optics that a height is added to."""
+"""Choices of surfaces to which a height is added: functions of an eye's optics that return the names."""
 
 
 class Differentiable(Protocol):
-    """A function with derivatives, as a polynomial is."""
+    """A function with derivatives, such as a polynomial."""
 
     def with_jacobian(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the values (n, outputs) and derivatives (n, outputs, variables) at inputs (n, variables)."""
@@ -48,11 +48,11 @@ class Differentiable(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SmoothSag(SagSurface):
-    """A height in micrometres as a smooth function of the place in millimetres.
+    """A height in micrometres as a smooth function of the position in millimetres.
 
     Attributes:
-        function: one output; a polynomial goes on to first order outside its box.
-        sign: of the height along the surface's normal.
+        function: has one output; a polynomial continues to first order outside its box.
+        sign: sign of the height along the surface's normal.
     """
 
     function: Differentiable
@@ -75,14 +75,14 @@ def places_on_combiner(
 ) -> FloatArray:
     """Return where lines of sight meet a surface, (n, 2) metres right and up of the combiner's middle.
 
-    NaN where nothing is met, as without a combiner.
+    NaN for lines that miss, and without a combiner.
 
     Args:
         optics: the optics.
-        viewpoint, direction: (n, 3) of each line, device frame.
+        viewpoint, direction: (n, 3) origin and direction of each line, device frame.
         meeting: number of the surface along the path.
-        path: that the lines of sight follow; the display's if not given.
-        wavelength_um: of the light.
+        path: path of the lines of sight; the display path by default.
+        wavelength_um: vacuum wavelength in micrometres.
     """
     steps = (path or optics.display).steps
     if meeting >= len(steps):
@@ -98,8 +98,8 @@ def surfaces_raised(
 
     Args:
         optics: the optics.
-        names: of the surfaces.
-        error: maps the side of a surface's normal (+1 is away from the eye) to the height to be added.
+        names: names of the surfaces.
+        error: maps the side of a surface's normal (+1: away from the eye) to the height to be added.
         place: (2,) origin of the error from the combiner's middle, metres.
     """
     middle = combiner_middle(optics)
@@ -115,9 +115,9 @@ def surfaces_raised(
 
 
 def outward(surface: PlacedSurface, middle: FloatArray, along_axis: bool = False) -> float:
-    """Return +1 if a surface's normal, or its axis, leads into the world where the eye looks through it, else -1.
+    """Return +1 if a surface's normal, or its axis, points into the world where the eye looks through it, else -1.
 
-    `middle` (3,) is where it looks through, `assembly.combiner_middle`.
+    `middle` (3,) is the point that the eye looks through, see `assembly.combiner_middle`.
     """
     pose = surface.surface_from_device
     local = (pose[:3, :3] @ middle + pose[:3, 3])[:, None]

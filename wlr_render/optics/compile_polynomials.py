@@ -1,9 +1,9 @@
 """Polynomials in place of traced optics: a model file that holds them needs no tracer, and a shader can evaluate them.
 
-Rays are traced from a lattice of places on a base plane, each in a grid of directions, and polynomials are fitted to
+Rays are traced from a grid of points on a base plane, from each in a grid of directions, and polynomials are fitted to
 them by least squares. The orders grow until rays that were not fitted agree within `GOAL_ARCMIN`. Rays that miss the
-optics or pass outside a clear aperture are not fitted; where the box has no others, a ridge that grows with the order
-keeps the terms small, so that the polynomial continues smoothly there.
+optics or pass outside a clear aperture are not fitted; where the box has no other rays, a ridge that grows with the
+order keeps the terms small, so that the polynomial continues smoothly there.
 """
 
 from collections.abc import Callable
@@ -31,15 +31,15 @@ Limits = tuple[int, int, int]
 """Limits of the total order of the first two inputs, of the last two, and of all four."""
 
 DISPLAY_LIMITS: tuple[Limits, ...] = ((8, 5, 8), (10, 5, 10), (10, 6, 10), (12, 6, 12))
-"""Order limits of (pixel, place), in the order in which they are tried."""
+"""Order limits of (pixel, place), in the sequence in which they are tried."""
 SEE_THROUGH_LIMITS: tuple[Limits, ...] = ((4, 6, 7), (4, 8, 8), (6, 8, 10), (6, 10, 12))
 """Order limits of (place, direction)."""
 
 _SEARCH = np.linspace(-2.0, 2.0, 41)  # tangents that are searched for the box of pixels: 63 degrees to each side
-_SEARCHED_AGAIN = 25  # directions per axis and place in the second search, within the range of the first
+_SEARCHED_AGAIN = 25  # directions per axis and place in the second search, within the range that the first found
 _BORDER = BOX_SLACK  # share by which samples extend beyond the box; farther out the basis is linear
 _RIDGE = 1e-12  # ridge, times (1 + order)^2, relative to the mean square of a term
-_CHECKED = 4000  # rays that are traced for the error and not fitted
+_CHECKED = 4000  # rays that are traced to measure the error and are not fitted
 _TANGENT_STEP = 1e-6
 _VALUE_STEP = 1e-4  # step of the assembly errors, degrees or millimetres
 _NOT_REACHED = (
@@ -177,7 +177,7 @@ class _DisplayRays(_Rays):
         return self.box.select((0, 1)).contains(pixel, border)
 
     def _bounds(self, place: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lowest and highest tangents (n, 2) that reach the box from places (n, 2), of a grid `axes` (m, 2)."""
+        """Return lowest and highest tangents (n, 2) of a grid `axes` (m, 2) that reach the box from places (n, 2)."""
         grid = _grid(axes[:, 0], axes[:, 1])
         pixel, passes = self.traced(self.values, np.repeat(place, len(grid), axis=0), np.tile(grid, (len(place), 1)))
         reaching = (self._in_box(pixel, _BORDER) & passes).reshape(len(place), -1, 1)
@@ -186,7 +186,7 @@ class _DisplayRays(_Rays):
         return low, np.where(reaching, grid, -np.inf).max(axis=1) + step
 
     def _reach(self) -> FloatArray:
-        """Return the range of tangents per axis, (m, 2), in which the box of pixels is visible from anywhere."""
+        """Return m tangents per axis, (m, 2), over the range in which the box of pixels is visible from any place."""
         low, high = self._bounds(_nodes_2d(self.box, (2, 3), 3), np.stack([_SEARCH, _SEARCH], axis=1))
         if not np.isfinite(low).any():
             raise BadInputError(_NOT_REACHED)
@@ -216,7 +216,7 @@ class _DisplayRays(_Rays):
         return _Samples(place[kept], tangents[kept], inputs, tangents[kept], float(reached))
 
     def by_values(self, samples: _Samples) -> FloatArray:
-        """Return the derivatives dt/dvalue = -(dpixel/dt)^-1 dpixel/dvalue, the last along a fixed ray."""
+        """Return the derivatives dt/dvalue = -(dpixel/dt)^-1 dpixel/dvalue, with dpixel/dvalue along a fixed ray."""
         place, tangents = samples.place, samples.tangents
         pixel = samples.inputs[:, :2]
         shifted = [self.traced(self.values, place, tangents + _TANGENT_STEP * axis)[0] for axis in np.eye(2)]
@@ -248,7 +248,7 @@ class _SeeThroughRays(_Rays):
         return inputs[:, :2], inputs[:, 2:]
 
     def samples(self, place: FloatArray, tangents: FloatArray, border: float = 0.0) -> _Samples:
-        """Trace rays, all of which are in the box."""
+        """Trace rays, which all lie in the box, and keep the rays that pass."""
         deviation, passes = self.traced(self.values, place, tangents)
         place, tangents = place[passes], tangents[passes]
         return _Samples(place, tangents, _joined(place, tangents), deviation[passes], float(passes.mean()))

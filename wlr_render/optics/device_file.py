@@ -40,7 +40,7 @@ from wlr_render.optics.surfaces import Conic, Ellipsoid, Shape
 
 _OPEN_MM = 10.0  # least half width of a surface without an aperture
 _STEEPEST_SLOPE = 20.0  # largest slope of a surface given by its sag: 87 degrees
-_MOST = 100  # most surfaces, steps of a path, media, or form errors
+_MOST = 100  # largest number of surfaces, steps of a path, media, or form errors
 _DEEPEST = 6  # deepest nesting of surfaces based on others: the time for a ray grows exponentially with it
 _OTHER_SIDE = {"right": "left", "left": "right"}
 _SHAPES: dict[str, type[Shape]] = {
@@ -145,7 +145,7 @@ def _surface(table: Table, place: Place, earlier: dict[str, PlacedSurface], base
 
     Args:
         table: the table.
-        place: axes of the file.
+        place: pose and axes of the file.
         earlier: surfaces that may be its base.
         bases: names of the bases of displaced surfaces; the base of this one is added.
     """
@@ -237,8 +237,8 @@ def _path(entries: list[Table], surfaces: dict[str, PlacedSurface], media: dict[
 def save_device(device: Device, path: str | FilePath) -> FilePath:
     """Write a device that `load_device` reads back, to the rounding of its numbers.
 
-    Media of one name that differ between the eyes get the side added to the name. A displaced surface gets a separate
-    base if its base has another pose or is not in a path.
+    Media of the same name that differ between the eyes get the side appended to the name. A displaced surface gets a
+    separate base if its base has another pose or is not in a path.
     """
     return write_toml(path, device_content(device))
 

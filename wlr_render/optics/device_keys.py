@@ -19,7 +19,7 @@ from wlr_render.numerics.arrays import FloatArray
 FAR_MM = 2000.0
 """Largest distance of a part of a headset from the origin."""
 FLAT_MM = 1e12
-"""Largest radius, of a practically flat surface."""
+"""Largest radius: the surface is practically flat."""
 MOST_POWER = 20
 """Highest total power of the coordinates in a term of a shape."""
 
@@ -119,7 +119,7 @@ class SagTerms(Key):
         return self.quantity.of_file(coefficients, place.axes)
 
     def keys(self, value: Any, place: Place) -> dict[str, Any]:
-        """Return the coefficients that are not 0, or one that is if all are."""
+        """Return the coefficients that are not 0, or a single 0 if all are."""
         coefficients = self.quantity.to_file(value, place.axes)
         terms = {}
         for powers in map(tuple, np.argwhere(coefficients).tolist()):

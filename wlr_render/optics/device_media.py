@@ -14,11 +14,11 @@ from wlr_render.optics.media import INDICES, Medium
 
 _ABBE_NUMBERS = 5.0, 200.0
 _HIGHEST_POWER = 20  # highest power of the wavelength
-_MOST = 100  # most terms
+_MOST = 100  # largest number of terms
 
 
 def read_medium(table: Table, name: str) -> Medium:
-    """Read the index of a [[medium]]; refuses one that no transparent medium has in visible light."""
+    """Read the index of a [[medium]]; refuse an index that no transparent medium has in visible light."""
     given = [key for key in _MEDIA if table.has(key)]
     readers = {_MEDIA[key] for key in given}
     if len(readers) != 1:

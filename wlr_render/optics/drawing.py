@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _RAYS = 5  # number of rays of each kind and view
-_BEYOND = 1.3  # length of see-through rays, in distances of the farthest part
-_CUT_TO = 1.2  # extent of drawn surfaces, in distances of the farthest part
+_BEYOND = 1.3  # length of see-through rays over the distance of the farthest part
+_CUT_TO = 1.2  # extent of drawn surfaces over the distance of the farthest part
 _LOST_ANGLE = np.deg2rad(15.0)  # half angle of the fan of rays drawn if none reaches the panel
-_LOST_LENGTH = 0.3  # length of a lost ray behind the last surface that it meets, in sizes of the device
-_ARROW = 0.6  # length of the arrows along u and v, in lengths of the panel's edge
-_END_ON = 0.05  # shortest drawn arrow, in lengths of the panel's longer edge
+_LOST_LENGTH = 0.3  # length of a lost ray beyond the last surface that it meets, over the size of the device
+_ARROW = 0.6  # length of the arrows along u and v over the length of the panel's edge
+_END_ON = 0.05  # shortest drawn arrow over the length of the panel's longer edge
 _FAN = np.deg2rad(np.arange(-180.0, 180.0, 0.1))
 _EDGES = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
 _SURFACE_COLOURS = ("tab:purple", "tab:brown", "tab:olive", "tab:pink", "tab:cyan", "tab:gray")
@@ -75,7 +75,7 @@ def draw_device(device: Device, eye: str, path: str | FilePath) -> None:
     for axes, view in zip(figure.subplots(1, 2), VIEWS, strict=True):
         _draw_view(axes, optics, view)
     handles: dict[str, Artist] = {}
-    for axes in figure.axes:  # parts in one view only are in the legend as well
+    for axes in figure.axes:  # the legend includes parts that only one view shows
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5, frameon=False)
@@ -156,7 +156,7 @@ def _size(optics: EyeOptics) -> float:
 
 
 def _draw_rays(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
-    """Draw rays to the panel, evenly spread over its angles in this plane, and the world's rays in the same directions.
+    """Draw rays to the panel, evenly spread over its angles in this plane, and see-through rays in the same directions.
 
     If the panel is not visible, rays within 15 degrees of straight ahead show where they are lost.
     """

@@ -1,6 +1,6 @@
 """Focal length, image distance, orientation, magnification and distortion of a display.
 
-They come from traces alone: no pixel is solved.
+All are computed from traced rays; no pixel is solved.
 """
 
 from dataclasses import dataclass
@@ -50,7 +50,7 @@ class FirstOrder:
 
 
 def first_order(optics: EyeOptics, wavelength_um: float) -> FirstOrder | None:
-    """Compute the figures over the rays that reach the panel; None if no ray near the middle of them does.
+    """Compute the first-order imaging from the rays that reach the panel; None if rays around their middle are lost.
 
     Args:
         optics: the eye.

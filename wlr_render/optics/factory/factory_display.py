@@ -18,12 +18,12 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 IMAGE_M = 2.0
 """Distance of the virtual image from the calibrated pupil, along the axis of the display.
 
-No format states it. It tells how directions change with the pupil: 1 mm of pupil moves the image by 1.7' against a
-display at infinity."""
+No format states this distance. It determines how directions change with the pupil: 1 mm of pupil moves the image by
+1.7' relative to a display at infinity."""
 
 _GUESS_DEGREE, _GUESS_GRID = 5, 25
-_STEP_PX = 1e-3  # step of the derivatives by pixel
-_TOLERANCE = 1e-13  # tangents
+_STEP_PX = 1e-3  # step of the finite differences by pixel
+_TOLERANCE = 1e-13  # tolerance of the solved tangents
 _EDGE_PX = 1e-6  # distance outside the panel that still counts as on it
 
 PixelTangents = Callable[[FloatArray], FloatArray]
@@ -157,7 +157,7 @@ class FactoryDisplay:
 
     @cached_property
     def _guess(self) -> Polynomial:
-        """First guess of pixels from tangents."""
+        """First guess of pixels as a polynomial of tangents."""
         axes = [np.linspace(0.0, size, _GUESS_GRID) for size in self.panel.size_px]
         pixel = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         tangents = self.tangents(pixel)
@@ -175,7 +175,7 @@ def display_pose(device_from_display: FloatArray, position: FloatArray) -> Float
     """Return the pose (4, 4) of a display in the device.
 
     Args:
-        device_from_display: (3, 3) rotation, both with the axes of OpenCV.
+        device_from_display: (3, 3) rotation; both frames have OpenCV's axes.
         position: (3,) the calibrated pupil, in metres and OpenCV's axes.
     """
     return transforms.rigid(OPENXR_FROM_OPENCV @ device_from_display, OPENXR_FROM_OPENCV @ position)

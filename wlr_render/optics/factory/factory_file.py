@@ -1,8 +1,8 @@
 """Read factory calibrations: SteamVR, Monado's North Star grid, Windows Mixed Reality, XREAL.
 
 The meaning of the numbers follows Monado (github.com/alvr-org/Monado-ALVR at 4053401: `vive_config.c`,
-`u_distortion_mesh.c`, `wmr_config.c`) for SteamVR's and WMR's files, the documentation of SteamVR's JSON file for
-makers of hardware, and public drivers of XREAL glasses. Pixel (0, 0) is the outer corner of the panel in all of them.
+`u_distortion_mesh.c`, `wmr_config.c`) for SteamVR's and WMR's files, SteamVR's documentation of its JSON file for
+hardware makers, and public drivers of XREAL glasses. Pixel (0, 0) is the outer corner of the panel in all of them.
 """
 
 import json
@@ -37,8 +37,8 @@ _KIND = "a factory calibration"
 _EYE_BOX_M = np.array([8e-3, 6e-3, 4e-3])
 _SIDES = ("left", "right")
 _NORTH_STAR_PX = (1440, 1600)
-_MOST_APART_M = 0.1  # of an eye from the middle
-_TESTED = 25  # pixels across and down that are tested for folds
+_MOST_APART_M = 0.1  # largest distance of an eye from the middle
+_TESTED = 25  # pixels tested for folds, across and down
 _LEAST_AHEAD = 0.5  # cosine of the angle between the middle of a display and straight ahead
 _NO_DISTORTION = np.zeros(4)
 
@@ -65,8 +65,8 @@ def is_factory_file(path: str | Path) -> bool:
 def load_factory_eyes(path: str | Path, eye: str) -> tuple[Eye, ...]:
     """Return the mappings of one eye of a factory calibration: for all colours, or for red, green and blue.
 
-    The display is a flat virtual image at `IMAGE_M`; the world is seen past no optics. The origin of the device is the
-    middle between the eyes.
+    The display is a flat virtual image at `IMAGE_M`; the real world is seen without optics. The origin of the device is
+    the middle between the eyes.
 
     Raises:
         BadInputError: a faulty file, or one without that eye.
@@ -175,7 +175,7 @@ def _wmr(table: Table) -> dict[str, _Calibrated]:
         eyes[side] = _Calibrated(panel, display_from_camera.T, place, tuple(radial))
     if not eyes:
         raise information.fail("'Displays' is empty; name a file with the displays of a headset.")
-    # The poses are those in a tracking camera, which looks down: the mean of the displays looks ahead.
+    # The poses are relative to a tracking camera that looks down; straight ahead is the mean of the displays.
     middle = (
         scipy.spatial.transform.Rotation.from_matrix([each.rotation for each in eyes.values()]).mean().as_matrix().T
     )
@@ -239,7 +239,7 @@ def _north_star(table: Table) -> dict[str, _Calibrated]:
 
 
 def _is_folded(point: FloatArray, inside: BoolArray | bool = True) -> bool:
-    """Return whether a cell of points (rows, columns, 2) is mirrored: it would show one direction twice.
+    """Return whether a cell of the points (rows, columns, 2) is mirrored: the display would show a direction twice.
 
     Only cells that begin `inside` count: formulas may fold in corners that no lens shows.
     """
@@ -270,4 +270,4 @@ _READERS: dict[str, Callable[[Table], dict[str, _Calibrated]]] = {
     "num_grid_points_x": _north_star,
     "display": _xreal,
 }
-"""Readers by the key that tells their format."""
+"""Readers by the key that identifies their format."""
