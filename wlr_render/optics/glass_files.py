@@ -13,7 +13,7 @@ from wlr_render.optics.media import Medium
 SHIPPED = Path(__file__).with_name("glasses.agf")
 """Common glasses, plastics and crystals, with the source of each."""
 SCHOTT_POWERS = (0.0, 2.0, -2.0, -4.0, -6.0, -8.0)
-"""Powers of the wavelength in Schott's formula, which several makers of glass use."""
+"""Powers of the wavelength in Schott's formula, which several glass makers use."""
 NIKON_POWERS = (0.0, 2.0, 4.0, -2.0, -4.0, -6.0, -8.0, -10.0, -12.0)
 """Powers of the wavelength in the formula of Nikon and Hikari, which is Zemax's Extended 3."""
 
@@ -46,7 +46,7 @@ class GlassEntry:
         """Return the glass.
 
         Raises:
-            BadInputError: its formula or coefficients are faulty, or it has no index of a glass in visible light.
+            BadInputError: its formula or coefficients are faulty, or its index is implausible in visible light.
         """
         where = f"{self.place}: glass {shown(self.name)}"
         try:
@@ -69,7 +69,7 @@ class GlassEntry:
 
 
 def read_glass_file(path: Path) -> dict[str, GlassEntry]:
-    """Read a catalogue: its glasses by name in capitals; the first of two glasses with one name counts.
+    """Read a catalogue as glasses by name in capitals; of glasses with the same name, the first is used.
 
     Raises:
         BadInputError: the file cannot be read, or is not a catalogue.
@@ -97,7 +97,7 @@ def read_glass_file(path: Path) -> dict[str, GlassEntry]:
 @functools.cache
 def shipped_entries() -> dict[str, GlassEntry]:
     """Return the glasses of this package by name in capitals."""
-    with hashes_of_inputs():  # part of the program, and no input of the run that happens to need it first
+    with hashes_of_inputs():  # the file is part of the program, not an input of the run that reads it first
         return read_glass_file(SHIPPED)
 
 
@@ -108,7 +108,7 @@ def shipped_glasses() -> dict[str, Medium]:
 
 
 def herzberger(name: str, a: float, b: float, c: float, *rest: float) -> Medium:
-    """Return a medium of n = A + B M + C M^2 + D L^2 + E L^4 + F L^6 with M = 1 / (L^2 - 0.028).
+    """Return the medium with n = A + B M + C M^2 + D L^2 + E L^4 + F L^6 with M = 1 / (L^2 - 0.028).
 
     M is expanded in powers of 0.028 / L^2 up to L^-20: from 0.4 micrometres on, n is exact to 1e-7.
     """
@@ -121,12 +121,12 @@ def herzberger(name: str, a: float, b: float, c: float, *rest: float) -> Medium:
 
 
 def _of_powers(*powers: float) -> Callable[..., Medium]:
-    """Return a reader of n^2 = sum of coefficient L^power."""
+    """Return a function from coefficients to the medium with n^2 = sum of coefficient L^power."""
     return lambda name, *values: Medium.squared(name, (), zip(values, powers, strict=True))
 
 
 def _sellmeier(name: str, *values: float) -> Medium:
-    """Return a medium of n^2 = 1 + sum of K L^2 / (L^2 - pole), from K, pole, K, pole and so on."""
+    """Return the medium with n^2 = 1 + sum of K L^2 / (L^2 - pole), from K, pole, K, pole and so on."""
     return Medium.squared(name, zip(values[::2], values[1::2], strict=True), [(1.0, 0.0)])
 
 

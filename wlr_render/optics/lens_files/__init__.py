@@ -1,1 +1,1 @@
-"""Sequential prescriptions of Zemax, CODE V, Optiland and rayoptics, and the headsets they become."""
+"""Sequential prescriptions of Zemax, CODE V, Optiland and rayoptics, and their conversion to headsets."""

@@ -1,8 +1,8 @@
 """Read CODE V lens files (.seq).
 
-The commands are documented in CODE V's reference manuals. What was taken from elsewhere: signs and order of decentres
-from rayoptics (`codev/cmdproc.py`, `elem/surface.py`), and checked with its three-mirror telescope, which is in focus;
-the thickness of the image as a defocus from CODE V's listing of that telescope.
+The commands are documented in CODE V's reference manuals. Signs and order of decentres follow rayoptics
+(`codev/cmdproc.py`, `elem/surface.py`), checked with its three-mirror telescope, which is in focus. The thickness of
+the image is a defocus, as in CODE V's listing of that telescope.
 """
 
 import re
@@ -41,10 +41,10 @@ _BENDING = {
     *("AP", "BP", "CP", "DP", "CUX", "RDX", "GL1", "GL2", "XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"),
     *("SCO", "PAR", "K", *"ABCDEFGHJ"),
 }
-"""Commands that bend rays where they are not read, and have no effect where their numbers are 0."""
+"""Unread commands that bend rays, unless their numbers are 0."""
 _MORE_THAN_A_SHAPE = {"DIF", "HOE", "GRT", "GRI", "MOD", "FRN"}
 _PREFIXES = {"SCHOTT": "N", "OHARA": "S", "HIKARI": "J", "CDGM": "HD"}
-"""First letters of glasses, by maker, that a dash follows; CODE V writes names without it."""
+"""First letters of glass names, by maker, before a dash; CODE V omits the dash."""
 _ROOM = {"TEM": (20.0, 22.0), "PRE": (760.0,)}
 """Temperatures in degrees Celsius and pressure in millimetres of mercury for which catalogues state indices."""
 _PRIVATE_UM = 0.1, 100.0
@@ -71,7 +71,7 @@ def read_codev(path: Path, lines: list[str], catalogue: GlassCatalogue) -> LensF
         reading.surface = number = surface.number
         decentre, gap = _decentre(surface), reading.unit * _thickness(surface)
         if surface is file.surfaces[-1]:
-            thickness += gap  # a defocus: the image lies so far behind the paraxial one
+            thickness += gap  # a defocus: distance of the image behind the paraxial image
         pose = pose @ before.step(thickness, decentre)
         reflects, medium = _glass(file, surface, medium)
         is_far = number == 0 and np.isinf(gap)
@@ -212,7 +212,7 @@ def _private_glass(reading: LensReading, stated: Command, wavelengths: Command |
 
 
 def _aperture(surface: CodevSurface) -> ClearAperture:
-    """Return the aperture that stops rays; circles and ellipses become the rectangles around them."""
+    """Return the aperture that stops rays; circles and ellipses become their bounding rectangles."""
     reading, halves = surface.reading, [np.inf, np.inf]
     for name, axes in (("CIR", (0, 1)), ("REX", (0,)), ("REY", (1,)), ("ELX", (0,)), ("ELY", (1,))):
         if name not in surface.commands:

@@ -1,4 +1,4 @@
-"""Commands of CODE V lens files (.seq): several to a line by `;`, continued by `&`, comments behind `!`."""
+"""Commands of CODE V lens files (.seq): separated by `;`, continued by `&`, with comments after `!`."""
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,7 +13,7 @@ _TOKEN = re.compile(r"""[Ll]?(?:'[^']*'|"[^"]*")|[^\s;'"!]+|[;!'"]""")
 _LABEL = re.compile(r"""[Ll]['"]""")
 _TARGET = re.compile(r"S(O|I|\d{1,6})", re.IGNORECASE)
 _TEXTS = {"TIT", "SLB", "DIM", "GLA", "RMD", "RET", "GLB", "ZOO", "PIK"}
-"""Commands with words for values, or with surfaces that are not the one that they belong to."""
+"""Commands with words as values, or with surfaces other than the one that they belong to."""
 _HARMLESS = {
     *("LEN", "GO", "INI", "UID", "WL", "WTW", "REF", "CWL", "EPD", "FNO", "NA", "NAO", "WTF", "WID", "POL", "CA"),
     *("XAN", "YAN", "XOB", "YOB", "XIM", "YIM", "XRI", "YRI", "VUX", "VLX", "VUY", "VLY", "CLS", "DER", "DOR"),
@@ -21,13 +21,13 @@ _HARMLESS = {
     *("XDC", "YDC", "ZDC", "ADC", "BDC", "CDC", "THM", "CUM", "HOR", "HWL", "HCT", "HCO", "KXC", "KYC", "PFR", "PTP"),
     *("MFL", "SUR", "LIS", "VIE", "CMP", "COM", "PTC", "SLC", "DLR", "DLT", "DLN", "TRX", "TRY", "BTX", "BTY"),
 }
-"""Commands of fields, wavelengths, pupil, drawing, tolerances and optimisation; numbers of a diffractive surface, which
-is named by `DIF`."""
+"""Commands of fields, wavelengths, pupil, drawing, tolerances and optimisation, and numbers of a diffractive surface,
+which `DIF` names."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """One command, as its words without quotes, and its line in the file."""
+    """One command: its words without quotes, and its line in the file."""
 
     words: tuple[str, ...]
     line: int
@@ -92,7 +92,7 @@ class CodevSurface:
         number: number of the surface.
         line: the command S with curvature or radius, thickness, glass; for the file as a whole, any command.
         has_radius: True if the line states a radius.
-        commands: others, by name and qualifiers, such as 'CIR OBS'; a later command replaces an earlier one.
+        commands: other commands, by name and qualifiers, such as 'CIR OBS'; a later command replaces an earlier one.
         used: keys of the commands that have been read.
     """
 
@@ -124,7 +124,7 @@ class CodevFile:
     Attributes:
         reading: state of reading the file.
         whole: commands of the file as a whole.
-        surfaces: from the object on.
+        surfaces: surfaces in order, starting with the object.
         glasses: private glasses: definition and wavelengths, by name in capitals.
     """
 
@@ -139,7 +139,7 @@ class CodevFile:
     _stop: CodevSurface | None = None
 
     def take(self, command: Command) -> None:
-        """Sort a command.
+        """Store a command with its surface, its private glass or the whole file.
 
         Raises:
             BadInputError: it names a surface that does not exist.
@@ -159,7 +159,7 @@ class CodevFile:
             self._sort(command)
 
     def end(self) -> None:
-        """Add the image, which a file may leave out: a plane behind the thickness of the last surface."""
+        """Add the image, which a file may omit: a plane behind the thickness of the last surface."""
         if len(self.surfaces) > 1 and not self._has_image:
             image = Command(("SI", "0", "0"), self.surfaces[-1].line.line)
             self.surfaces.append(CodevSurface(self.reading, len(self.surfaces), image))
@@ -205,7 +205,7 @@ class CodevFile:
         key = " ".join([command.name, *qualifiers])[:40]
         labels = {word for word in words if _LABEL.match(word)}
         if key in owner.commands and labels.difference(owner.commands[key].words):
-            key += f" {min(labels)}"  # a second aperture of the surface
+            key += f" {min(labels)}"  # another aperture of the same surface
         owner.commands.pop(key, None)
         owner.commands[key] = Command(tuple(words), command.line)
 

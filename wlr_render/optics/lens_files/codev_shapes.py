@@ -88,7 +88,7 @@ def _toroid(surface: CodevSurface, curvature: float, kind: str) -> Shape:
 
 
 def _norm(surface: CodevSurface, kind: str) -> float:
-    """Return the length that divides the coordinates; 0 states none."""
+    """Return the length that divides the coordinates: 1 if it is missing or 0."""
     key = "SCO NRADIUS" if "SCO NRADIUS" in surface.commands else kind
     norm = surface.value(key) if surface.words(key) else 0.0
     if norm and not NORMS[0] <= abs(norm) <= NORMS[1]:
@@ -106,7 +106,7 @@ def _odd(surface: CodevSurface, base: Conic, kind: str) -> Shape:
         if match := re.fullmatch(r"SCO (AR|C)(\d{1,2})", key):
             power = int(match[2]) - (match[1] == "C")
             if 1 <= power <= 30:
-                # Higher powers are left out, and would overflow.
+                # Higher powers would overflow, and are left out.
                 terms[power] = surface.value(key) / norm ** min(power, MOST_POWER)
     return surface.reading.asphere(base, terms, "SCO")
 

@@ -30,7 +30,7 @@ _ALSO = {
 }
 """Other names of shipped glasses, in letters and digits."""
 _OTHER_MAKERS = {"F2": ("cdgm", "hikari"), "BAF2": ("cdgm",)}
-"""Makers who have another glass of the same name, by the name of a shipped glass."""
+"""Makers of a different glass with the same name, by the name of a shipped glass."""
 _VISIBLE_UM = 0.45, 0.65
 
 
@@ -40,7 +40,7 @@ class Glass:
 
     Attributes:
         medium: the glass.
-        note: where it was found, unless in a catalogue that the user named; may be empty.
+        note: source of the glass, unless the user named the catalogue; may be empty.
         is_other: True if its index may differ from the index of the named glass.
     """
 
@@ -108,7 +108,7 @@ def _letters(name: str) -> str:
 
 
 def _by_name(entries: dict[str, GlassEntry], name: str) -> GlassEntry | None:
-    """Return the glass of a name, or one whose name differs in spaces and dashes only."""
+    """Return the glass with a name, or with a name that differs in spaces and dashes only."""
     if name.upper() in entries:
         return entries[name.upper()]
     return next((entry for each, entry in entries.items() if _letters(each) == _letters(name)), None)
@@ -129,7 +129,7 @@ def _glass_of(entry: GlassEntry, name: str, *source: str) -> Glass:
 
 
 def model_glass(index: float, abbe: float, where: str, name: str = "", deviation: float = 0.0) -> Medium:
-    """Return a glass by n_d and V_d, and its deviation from the normal line.
+    """Return the glass with an index n_d, an Abbe number V_d and a deviation from the normal line.
 
     Without a positive V_d it has no dispersion, and is air if its index is 1.
 
@@ -169,14 +169,14 @@ def _glass_of_optiland(name: str, manufacturers: tuple[str, ...]) -> Medium | No
             file = str(material.to_dict()["filename"])
         except (ValueError, KeyError):
             continue
-        # Optiland takes the nearest name if it has no such glass: N-SF5 for SF5, which is another one.
+        # Optiland takes the nearest name if it has no such glass: N-SF5 for SF5, which is another glass.
         stem = Path(file).stem
         return require_glass(_of_database_file(file, name if stem.upper() == name.upper() else stem), file)
     return None
 
 
 def _of_database_file(path: str, name: str) -> Medium:
-    """Return a medium of a refractiveindex.info file: its first formula."""
+    """Return the medium of a refractiveindex.info file, by its first formula."""
     text = read_text(path, "a file of refractiveindex.info")
     match = re.search(r"type:\s*formula (\d+)\s.*?coefficients:\s*([-+.\deE ]+)", text, re.DOTALL)
     if match is None:
@@ -200,7 +200,7 @@ def _of_database_file(path: str, name: str) -> Medium:
 
 
 def _of_fractions(name: str, values: list[float]) -> Medium:
-    """Return a medium of formula 4: n^2 = c1 + c2 L^c3 / (L^2 - c4^c5) + c6 L^c7 / (L^2 - c8^c9) + c10 L^c11 + ..."""
+    """Return the medium of formula 4: n^2 = c1 + c2 L^c3 / (L^2 - c4^c5) + c6 L^c7 / (L^2 - c8^c9) + c10 L^c11 + ..."""
     values = [*values, *[0.0] * (9 - len(values))]
     powers = [(values[0], 0.0), *zip(values[9::2], values[10::2], strict=False)]
     poles = [(strength, power, base**exponent) for strength, power, base, exponent in (values[1:5], values[5:9])]

@@ -221,7 +221,7 @@ def _aperture(surface: LensSurface, use_semi_diameters: bool) -> ClearAperture:
 def _panel(
     device_from_surface: FloatArray, display: RayPath, viewpoint: FloatArray, choices: HeadsetChoices
 ) -> tuple[PlacedPanel, bool]:
-    """Return the panel in its surface's plane, turned in steps of 90 degrees to be upright, and whether it is met."""
+    """Return the panel in its surface's plane, upright by a turn in steps of 90 degrees, and whether rays meet it."""
     flat = PlacedPanel(device_from_surface, np.ones(2), Panel(1, 1))
     tangents = _PROBE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     traced = trace(display, viewpoint, dir_of_tangents(tangents), GREEN_UM)

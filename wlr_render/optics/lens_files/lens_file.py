@@ -16,7 +16,7 @@ from wlr_render.optics.lens_text import read_lens_lines
 
 _KINDS = "a lens file of Zemax (.zmx, sequential), CODE V (.seq), Optiland (.json) or rayoptics (.roa)"
 _CODE_V = re.compile(r"\s*(LEN|RDM|SO)\b", re.IGNORECASE)
-"""Commands that begin a CODE V lens, and no line of a Zemax file."""
+"""Commands that begin a CODE V lens, but never a line of a Zemax file."""
 
 
 def read_lens_file(path: Path, catalogue: GlassCatalogue) -> tuple[str, LensFile]:

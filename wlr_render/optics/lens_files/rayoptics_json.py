@@ -1,4 +1,4 @@
-"""Read the JSON files of rayoptics (.roa): surfaces, gaps between them, and decentres in CODE V's sign of angles."""
+"""Read the JSON files of rayoptics (.roa): surfaces, gaps between them, and decentres with CODE V's signs of angles."""
 
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ _POWERS_OF_MAKERS = {
     "CDGMGlass": SCHOTT_POWERS,
     "HikariGlass": NIKON_POWERS,
 }
-"""Powers of the wavelength in the dispersion formulas of makers of glass."""
+"""Powers of the wavelength in the dispersion formulas of glass makers."""
 
 
 def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFile:
@@ -105,7 +105,7 @@ def _class_of(entry: Table) -> str:
 
 
 def _array(table: Table, key: str, size: int | None = None) -> list[float]:
-    """Return the numbers, as a list or as rayoptics writes an array; zeros where they are missing."""
+    """Return the numbers from a list or from rayoptics' form of an array; zeros if they are missing."""
     value: Any = table.raw(key)
     value = value.get("__ndarray__") if isinstance(value, dict) else value
     value = [0.0] * (size or 0) if value is None else value

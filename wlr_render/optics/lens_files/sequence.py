@@ -31,7 +31,7 @@ UNITS_M = {
     **{"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "inch": 0.0254, "inches": 0.0254},
     **{"m": 1.0, "me": 1.0, "meter": 1.0, "meters": 1.0},
 }
-"""Metres of the units of length that lens files name."""
+"""Metres per unit of length, by its name in lens files."""
 
 INFINITE = 1e10
 """Distance that CODE V and rayoptics write for an object at infinity, in the file's unit."""
@@ -54,7 +54,7 @@ class Ignored:
         value: value in the file, shortened.
         reason: reason for leaving it out, and its substitute.
         bends_rays: True if it changes rays.
-        part: "shape" for a surface of a type that is not read, "glass" for a glass that is taken approximately.
+        part: "shape" for a surface of a type that is not read, "glass" for a glass that is approximated.
     """
 
     surface: int | None
@@ -72,10 +72,10 @@ class LensReading:
     Attributes:
         path: path of the file, for messages.
         catalogue: catalogue for the glasses that the file names.
-        unit: metres of the file's unit of length.
+        unit: the file's unit of length in metres.
         surface: number of the surface that is being read; None for the file as a whole.
         notes: keys without a counterpart in the device.
-        unknown_glasses: surfaces by the name of their glass, which no catalogue has.
+        unknown_glasses: numbers of surfaces, by the name of a glass that no catalogue has.
     """
 
     path: Path
@@ -97,21 +97,21 @@ class LensReading:
         return None if found is None else found.medium
 
     def required_glass(self, key: str, name: str, manufacturers: Sequence[str] = ()) -> Medium:
-        """Find a glass as `glass` does; without one, `lens_file` refuses the file."""
+        """Find a glass like `glass`; if no catalogue has it, `lens_file` refuses the file."""
         return self.glass(key, name, manufacturers) or self.unknown_glass(name)
 
     def unknown_glass(self, name: str) -> Medium:
-        """Return a medium in place of a glass that no catalogue has; `lens_file` refuses the file."""
+        """Return a placeholder for a glass that no catalogue has; `lens_file` refuses the file."""
         self.unknown_glasses.setdefault(name, []).append(str(self.surface))
         return Medium(name)
 
     def model_glass(self, key: str, index: float, abbe: float, where: str) -> Medium:
-        """Return a glass that the file states by n_d and V_d, and note it."""
+        """Return the glass that the file states by n_d and V_d, and note it."""
         self.ignore(key, f"{index:g}, {abbe:g}", "taken by n_d and V_d; between lines it may differ", part="glass")
         return model_glass(index, abbe, where)
 
     def asphere(self, base: Conic, terms: Mapping[int, float], key: str) -> Shape:
-        """Return a conic with terms by their power of r in file units; note the terms that are left out."""
+        """Return a conic with terms by power of r in file units; note the terms that are left out."""
         if tip := terms.get(1):
             self.ignore(key, tip, "the term in r, a tip on the axis, is not read", True)
         if any(term for power, term in terms.items() if power > MOST_POWER):
@@ -131,9 +131,9 @@ class LensReading:
     def toroid(
         self, curvature: tuple[float, float], conic: tuple[float, float], terms: Sequence[float], keys: tuple[str, str]
     ) -> Shape:
-        """Return a toroid of curvatures along x and y in 1/m; a cylinder with its conic, or a plane, without one.
+        """Return a toroid of curvatures along x and y in 1/m; if one is 0, a cylinder with its conic; if both, a plane.
 
-        Notes the conics, and terms of y, that are left out, under the keys (of the conic, of the terms).
+        Conics and terms of y that are left out are noted under `keys`: (key of the conic, key of the terms).
         """
         x, y = curvature
         if any(terms):
@@ -181,7 +181,7 @@ class Decentre:
 
     Attributes:
         kind: one of `KINDS`: the axes behind the surface stay decentred, are tilted once more (at a mirror, they follow
-            the light), or return; or the inverse decentre is behind the surface and none before it.
+            the light), or return; or the inverse decentre follows the surface and none precedes it.
         shift: (4, 4), metres.
         rotation: (4, 4).
     """
@@ -194,14 +194,14 @@ class Decentre:
 
     @classmethod
     def of(cls, kind: str, place: Sequence[float], degrees: Sequence[float]) -> "Decentre":
-        """Return a decentre by a shift along x, y and z in metres, then tilts about x, y and z in degrees."""
+        """Return the decentre with a shift along x, y and z in metres, then tilts about x, y and z in degrees."""
         alpha, beta, gamma = np.deg2rad(degrees)
         # About x and y the angles are left-handed.
         rotation = rotation_about("x", -alpha) @ rotation_about("y", -beta) @ rotation_about("z", gamma)
         return cls(kind, shift(*place), rigid(rotation, np.zeros(3)))
 
     def step(self, thickness: float, following: "Decentre") -> FloatArray:
-        """Return the pose (4, 4) of the next surface, which has the decentre `following`, in the axes of this one."""
+        """Return the pose (4, 4) of the next surface, with decentre `following`, in the axes of this surface."""
         turn, moved = np.eye(4), np.eye(4)
         if self.kind == "bend":
             turn = self.rotation
@@ -298,7 +298,7 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> FloatArray:
 
 
 def by_power(step: int, terms: Sequence[float]) -> dict[int, float]:
-    """Return factors of r^step, r^(2 step), ... by their power."""
+    """Return the factors of r^step, r^(2 step), ... by power."""
     return {step * place: term for place, term in enumerate(terms, 1)}
 
 
@@ -308,7 +308,7 @@ def xy_powers() -> list[tuple[int, int]]:
 
 
 def conic(curvature: float, constant: float) -> Conic:
-    """Return a conic of a curvature in 1/m; a plane has no conic constant."""
+    """Return the conic with a curvature in 1/m; a plane gets the conic constant 0."""
     return Conic(curvature, constant if curvature else 0.0)
 
 
