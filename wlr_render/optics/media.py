@@ -8,7 +8,7 @@ import numpy as np
 FRAUNHOFER_F_D_C_UM = (0.48613270, 0.58756180, 0.65627250)
 """Wavelengths that define an Abbe number: blue (F) and red (C) of hydrogen, and yellow (d) of helium."""
 GREEN_UM = 0.55
-"""Wavelength at which optics are traced by default, green."""
+"""Default wavelength of traces, green."""
 INDICES = 1.0, 5.0
 """Smallest and largest refractive index of a transparent medium."""
 _DISPLAYED_UM = 0.45, GREEN_UM, 0.65  # wavelengths at which a medium must have a plausible index
@@ -45,7 +45,7 @@ class Medium:
         powers: Iterable[tuple[float, float]] = (),
         fractions: Iterable[tuple[float, float]] = (),
     ) -> "Medium":
-        """Return a medium of the sum of strength L^2 / (L^2 - pole), factor L^power, strength / (L^2 - pole) as n^2."""
+        """Return the medium with n^2 = sum of strength L^2 / (L^2 - pole), factor L^power, strength / (L^2 - pole)."""
         terms, powers = list(terms), list(powers)
         for strength, pole in fractions:
             # B / (L^2 - C) is B / C times L^2 / (L^2 - C) - 1.
@@ -60,7 +60,7 @@ class Medium:
 
     @classmethod
     def cauchy(cls, name: str, factors: tuple[tuple[float, float], ...]) -> "Medium":
-        """Return a medium of n = sum of factor L^power, from pairs (factor, power)."""
+        """Return the medium with n = sum of factor L^power, from pairs (factor, power)."""
         squared: dict[float, float] = {0.0: -1.0}
         for first, p in factors:
             for second, q in factors:
@@ -69,9 +69,9 @@ class Medium:
 
     @classmethod
     def abbe(cls, name: str, index: float, number: float, deviation: float = 0.0) -> "Medium":
-        """Return a medium by its index n_d and its Abbe number V_d = (n_d - 1) / (n_F - n_C).
+        """Return the medium with index n_d and Abbe number V_d = (n_d - 1) / (n_F - n_C).
 
-        Both are exact, by three Cauchy terms. The third follows from the partial dispersion
+        Three Cauchy terms make both exact. The third follows from the partial dispersion
         P_gF = (n_g - n_F) / (n_F - n_C), which is `deviation` above Schott's normal line 0.6438 - 0.001682 V_d.
         """
         g_line, (f_line, d_line, c_line) = 0.4358343, FRAUNHOFER_F_D_C_UM
@@ -96,7 +96,7 @@ class Medium:
         return float(n_squared**0.5) + self.index_shift if n_squared >= 0.0 else np.nan
 
     def fault(self) -> str | None:
-        """Describe an index that no transparent medium has in visible light; None if all is plausible."""
+        """Describe an index that no transparent medium has in visible light; None if the index is plausible."""
         low, high = INDICES
         for wavelength_um in _DISPLAYED_UM:
             if not low <= (index := self.index(wavelength_um)) <= high:

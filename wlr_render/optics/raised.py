@@ -12,7 +12,7 @@ from wlr_render.optics.device_keys import distance_key
 from wlr_render.optics.sag_surfaces import SagSurface
 from wlr_render.optics.surfaces import Gradient, Shape, SurfaceIntersections, dot
 
-_RAISED_REACH = 1e-2  # metres by which form errors may move a root: they are far smaller
+_RAISED_REACH = 1e-2  # upper bound, in metres, of a root's shift by form errors, which are far smaller
 _MAX_TURNS = 40
 _SETTLED = 1e-14  # change in metres at convergence: the next one is smaller by distance / radius of curvature
 
@@ -70,7 +70,7 @@ class Offset(Shape):
         return sum((height for height, _ in heights), start=self.distance), sum(slopes for _, slopes in heights)
 
     def level(self, point: FloatArray) -> tuple[FloatArray, Gradient]:
-        """Return the level at points by their settled feet on the base, as a distance, and its gradient."""
+        """Return the level at points as a distance, from their converged feet on the base, and its gradient."""
         shift = np.zeros_like(point)
         if not self._is_along_z:
             height, _ = self._heights(point)
@@ -82,7 +82,7 @@ class Offset(Shape):
         return value, gradient
 
     def level_near(self, point: FloatArray, shift: FloatArray) -> tuple[FloatArray, Gradient, FloatArray | float]:
-        """Improve the feet: their errors shrink by a factor of about the distance over the base's radius."""
+        """Improve the feet once: their errors shrink by a factor of about the distance over the base's radius."""
         height, slopes = self._heights(point)
         value, gradient = self.base.level(point - shift)
         inward = np.stack(np.broadcast_arrays(*gradient))
@@ -90,7 +90,7 @@ class Offset(Shape):
         if not self._is_along_z:
             length = np.sqrt(dot(inward, inward))
             inward /= length
-            # To first order, the level at the feet by the new shift.
+            # The level at the feet after the new shift, to first order.
             value = value / length + dot(inward, shift)
             previous = shift.copy()
             shift[:] = -height * inward
@@ -118,18 +118,18 @@ class Offset(Shape):
 
 
 def raised(shape: Shape, *errors: FormError) -> Shape:
-    """Return a shape with form errors, in addition to any that it has."""
+    """Return the shape with form errors added."""
     return replace(shape, errors=(*shape.errors, *errors)) if isinstance(shape, Offset) else Offset(shape, 0.0, errors)
 
 
 def base_of(shape: Shape) -> Shape | None:
-    """Return the shape that a displaced one is stated by: its base, or the offset that has errors; None for others."""
+    """Return the shape that a displaced shape is based on: its base, or the offset without errors; None for others."""
     if not isinstance(shape, Offset):
         return None
     return replace(shape, errors=()) if shape.errors and shape.distance else shape.base
 
 
 def nesting(shape: Shape) -> int:
-    """Return the number of shapes that a shape is based on, one by another."""
+    """Return the length of the chain of bases under a shape; 0 without a base."""
     base = base_of(shape)
     return 0 if base is None else 1 + nesting(base)

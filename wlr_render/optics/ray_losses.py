@@ -1,4 +1,4 @@
-"""Losses of the display path's rays, surface by surface, and the single changes that would let them arrive."""
+"""Losses of rays along the display path, surface by surface, and single changes that would let them arrive."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,10 +18,10 @@ from wlr_render.optics.tracer import Trace, trace
 _COLUMNS, _ROWS = 25, 21
 _CONE_TANGENT = 0.4  # tangent of the cone of test rays if no nominal field is stated
 _TURNED = np.diag([1.0, 1.0, -1.0, 1.0])
-_MANY = 0.5  # share of the rays; fewer count as lost
-_BETTER = 2.0  # factor by which an accepted change increases the passing rays, which must also be most of all
-_TILTED = 1e-6  # component of the normal across the line of sight from which a mirror counts as tilted
-_AS_GOOD = 0.9  # share of the best change's rays from which another change counts as equally good
+_MANY = 0.5  # smallest share of rays on the panel for an accepted change
+_BETTER = 2.0  # smallest factor by which an accepted change increases the rays on the panel
+_TILTED = 1e-6  # smallest component of a tilted mirror's normal across the line of sight
+_AS_GOOD = 0.9  # smallest share of the best change's rays for an equally good change
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ class SurfaceLosses:
     Attributes:
         name: name of the surface.
         interaction: interaction in the device file; "panel" for the panel.
-        reached: rays that were not lost before.
-        passed: rays that go on, or that end on the panel.
-        reasons: number of lost rays by reason, in words that follow "rays".
+        reached: number of rays that were not lost before.
+        passed: number of rays that go on, or that end on the panel.
+        reasons: number of lost rays by reason, worded to follow "rays".
     """
 
     name: str
@@ -44,7 +44,7 @@ class SurfaceLosses:
 
     @property
     def lost(self) -> int:
-        """Rays that end here without having reached the panel."""
+        """Number of rays that end here without having reached the panel."""
         return self.reached - self.passed
 
     def sentence(self) -> str:
@@ -135,7 +135,7 @@ def turned_round(surface: PlacedSurface) -> PlacedSurface:
 
 @dataclass(frozen=True, eq=False)
 class TriedChange:
-    """An eye with one likely mistake of its description corrected.
+    """An eye with one likely mistake in its description corrected.
 
     Attributes:
         condition: the change, as the beginning of a sentence: "With ...".
@@ -149,7 +149,7 @@ class TriedChange:
 
 
 def curvature_changes(optics: EyeOptics) -> Iterator[TriedChange]:
-    """Yield each curved surface of the display path with reversed curvature, and with each of two radii reversed."""
+    """Yield the eye with each curved surface of the display path reversed, and with each of two radii reversed."""
     for surface in _surfaces_of_display(optics):
         if surface.shape == Conic(0.0):
             continue
@@ -167,7 +167,7 @@ def curvature_changes(optics: EyeOptics) -> Iterator[TriedChange]:
 
 
 def path_changes(optics: EyeOptics) -> Iterator[TriedChange]:
-    """Yield each pair of neighbouring display steps exchanged, and each plane mirror turned the other way."""
+    """Yield the eye with each pair of adjacent display steps exchanged, and each plane mirror turned the other way."""
     steps = optics.display.steps
     for place, (first, second) in enumerate(pairwise(steps)):
         if first.surface.name != second.surface.name:
@@ -213,7 +213,7 @@ def _one_radius_reversed(shape: Shape) -> Iterator[tuple[str, Shape]]:
 
 
 def helpful_changes(optics: EyeOptics, wavelength_um: float) -> list[tuple[TriedChange, int]]:
-    """Return the changes with which most rays would reach the panel, and the number of these rays; the best first."""
+    """Return the changes with which most rays would reach the panel, each with its number of rays, best first."""
     total, now = len(judged_directions(optics)), reach_panel(optics, wavelength_um)
     changes = [*curvature_changes(optics), *path_changes(optics)]
     counted = [(change, reach_panel(change.optics, wavelength_um)) for change in changes]

@@ -163,7 +163,7 @@ def _horner(coefficients: Sequence[float], x: FloatArray) -> tuple[FloatArray | 
 
 @dataclass(frozen=True)
 class AnamorphicTerm:
-    """A ((1 - P) x^2 + (1 + P) y^2)^(order / 2) in millimetres.
+    """The term A ((1 - P) x^2 + (1 + P) y^2)^(order / 2) in millimetres.
 
     Attributes:
         order: 4, 6, 8 or 10.

@@ -13,10 +13,10 @@ from wlr_render.io.file_records import LENGTH, Key
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device_keys import FLAT_MM, curvature_key
 
-_STEPS, _ROUNDS = 7, 4  # Newton steps in a round, and rounds; each goes on with the rays that have not converged
-# Metres. Newton's next error is about step^2 * curvature / 2, so a step this short was the last one needed.
+_STEPS, _ROUNDS = 7, 4  # Newton steps per round, and rounds; each round continues with the unconverged rays
+# Tolerance of a step, metres. The error after it is about step^2 * curvature / 2, so a step this short is the last.
 _LAST_STEP = 1e-10
-_FOOT_SETTLED = 1e-8  # metres; the error of the level is about the square of the foot's, times the curvature / 2
+_FOOT_SETTLED = 1e-8  # tolerance of feet, metres; the level's error is about its square times curvature / 2
 
 Gradient = tuple[FloatArray, FloatArray, FloatArray | float]
 """Derivatives by x, y and z, (n,) each."""
@@ -68,7 +68,7 @@ class Shape:
         distance, converged = self.root(-origin[2] / direction[2], origin, direction)
         return SurfaceIntersections(distance[None], converged)
 
-    @np.errstate(invalid="ignore", divide="ignore", over="ignore")  # beyond the edge of a shape: NaN
+    @np.errstate(invalid="ignore", divide="ignore", over="ignore")  # NaN beyond the edge of a shape
     def root(
         self,
         start: FloatArray,

@@ -1,7 +1,7 @@
 """Exact mappings of an eye by ray tracing: the ground truth that fitted models are measured against.
 
-The two maps that start with a view direction are one trace each. The other two are solved by Newton's method for the
-two tangents of the view direction, with a Jacobian from forward differences of exact traces.
+The two maps from a view direction take one trace each. The other two are solved by Newton's method for the two
+tangents of the view direction, with a Jacobian from forward differences of exact traces.
 """
 
 from collections.abc import Callable
@@ -36,8 +36,8 @@ _AHEAD = dir_of_tangents(np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 9)] * 2),
 
 _BLOCK = 65_536  # queries solved at a time: bounds the memory that a whole panel takes
 _TANGENT_STEP = 1e-7  # step of the forward differences
-_PIXEL_TOLERANCE = 1e-9  # pixels
-_ANGLE_TOLERANCE = 1e-13  # radians
+_PIXEL_TOLERANCE = 1e-9  # tolerance of solved pixels
+_ANGLE_TOLERANCE = 1e-13  # tolerance of solved directions, radians
 _MOST_UNSOLVED = 0.2  # largest share of unsolved pixels: an unsolved pixel takes a thousand times as long as others
 _WAVELENGTHS_UM = 0.3, 3.0
 _EDGE_PX = 1e-6  # distance outside the panel that still counts as on it, so that its edge survives rounding
@@ -82,7 +82,7 @@ def _guessed(guess: Polynomial, pixel: FloatArray, viewpoint: FloatArray) -> Flo
 
 
 def _reaches(panel: Panel, pixel: FloatArray, status: StatusArray) -> NDArray[np.bool_]:
-    """Return which rays end on the panel or just outside; those outside steady the fit at the panel's edge."""
+    """Return which rays end on the panel or just outside; rays just outside stabilise the fit at the panel's edge."""
     inside = np.all(np.abs(pixel / panel.size_px - 0.5) <= 0.55, axis=-1)
     return np.asarray(inside & (status == Status.OK))
 
@@ -97,7 +97,7 @@ def _spread(count: int) -> FloatArray:
 
 
 Miss = Callable[[FloatArray, NDArray[np.int64]], FloatArray]
-"""(tangents (k, m, 2), index (m,) into the queries) -> misses of the rays at their targets, (k, m, 2)."""
+"""Function (tangents (k, m, 2), index (m,) into the queries) -> offsets of the rays from their targets, (k, m, 2)."""
 
 
 def traced_eye(device: Device, eye: str = "right", wavelength_um: float = GREEN_UM) -> Eye:
@@ -165,7 +165,7 @@ class TracedDisplay(_Traced):
         outside = ~self._on_panel(wanted)
         start = np.full_like(wanted, np.nan) if warm_start is None else warm_start.reshape(wanted.shape).copy()
         cold = ~outside & ~_found(start)
-        # A guess costs more than some hundred queries; a display that has none is refused.
+        # A first guess costs more than hundreds of queries, and fails for a display that cannot be solved.
         if warm_start is None or cold.any():
             start[cold] = _guessed(self._guess, wanted[cold], eyes[cold])
         tangents = self._solve(wanted, eyes, start)
@@ -180,14 +180,14 @@ class TracedDisplay(_Traced):
         return np.asarray(np.all((pixel >= -_EDGE_PX) & (pixel <= self.panel.size_px + _EDGE_PX), axis=-1))
 
     def plane_pixel(self, view_dir: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, StatusArray]:
-        """Return the pixel (..., 2) on the panel, continued beyond its edges, and the status; CLIPPED rays keep it."""
+        """Return the pixel (..., 2) on the panel, continued beyond its edges, even for CLIPPED rays, and the status."""
         traced = trace(self.optics.display, viewpoint, view_dir, self.wavelength_um)
         pixel = self.optics.panel.pixel_of_ray(traced.origin, traced.direction)
         status = np.where(np.isnan(pixel[..., 0]) & (traced.status == Status.OK), Status.MISS, traced.status)
         return pixel, status
 
     def _solve(self, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray) -> FloatArray:
-        """Return the tangents (n, 2) to pixels (n, 2) from viewpoints (n, 3); NaN where they are not found."""
+        """Return the tangents (n, 2) of pixels (n, 2) from viewpoints (n, 3); NaN where they are not found."""
 
         def miss(tangents: FloatArray, index: NDArray[np.int64]) -> FloatArray:
             return self.plane_pixel(dir_of_tangents(tangents), viewpoint[index])[0] - pixel[index]
@@ -196,7 +196,7 @@ class TracedDisplay(_Traced):
 
     @cached_property
     def _guess(self) -> Polynomial:
-        """First guess of tangents; refuses a display if Newton's method fails from it for over 20 % of the panel."""
+        """First guess of tangents; an error if Newton's method then fails for over 20 % of the panel."""
         guess = _fit_first_guess(self)
         pixel = self.panel.grid(_GRID, _GRID).reshape(-1, 2)
         viewpoint = np.broadcast_to(self.optics.eye_box.centre, (len(pixel), 3))

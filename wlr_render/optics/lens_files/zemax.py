@@ -30,12 +30,12 @@ _BENDING_KEYS = {
     "SCBD": (3, "a tilt or shift of the surface's properties is not read: write a coordinate break"),
     "IGNR": (0, "the file ignores this surface, which is taken: delete it from the file"),
 }
-"""Keys of a surface that are not read, and bend rays if one of their numbers from an index on is not 0."""
+"""Unread keys of a surface, by the index from which on a number other than 0 bends rays."""
 _NOT_STATED = (1.5, 40.0), (0.0, 0.0)
 """Default index and Abbe number of a `GLAS` line."""
 _MODEL_GLASS = "1"
 _ROOM = 20.0, 1.0
-"""Temperature in degrees Celsius and pressure in atmospheres that the indices of catalogues are stated for."""
+"""Temperature in degrees Celsius and pressure in atmospheres for which catalogues state indices."""
 
 
 def read_zemax(path: Path, lines: list[str], catalogue: GlassCatalogue) -> LensFile:
@@ -145,7 +145,7 @@ def _list_other_keys(surface: ZemaxSurface) -> None:
 
 
 def _coordinate_break(surface: ZemaxSurface) -> FloatArray:
-    """Return the pose of a coordinate break: shift, then rotations about x, y and z, or reversed with a flag."""
+    """Return the pose of a coordinate break: shift, then rotations about x, y and z; with a flag, in reverse order."""
     values, unit = surface.numbered("PARM"), surface.reading.unit
     x, y, *degrees = (values.get(place, 0.0) for place in range(1, 6))
     about_x, about_y, about_z = (rotation_about(axis, np.deg2rad(a)) for axis, a in zip("xyz", degrees, strict=True))

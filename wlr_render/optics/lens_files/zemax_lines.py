@@ -63,5 +63,5 @@ class ZemaxSurface:
                         f"{self.reading.path}: line {line}: {key} has the number {place:g}; correct it."
                     )
                 values[int(place)] = self.reading.number(words, 1, line, key)
-        values.pop(0, None)  # has no meaning for the surfaces that are read
+        values.pop(0, None)  # number 0 has no meaning for the surfaces that are read
         return values

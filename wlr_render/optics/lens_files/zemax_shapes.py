@@ -15,8 +15,8 @@ _CONIC_WITHOUT_TERMS = {
     *("BINARY_1", "BINARY_2", "DGRATING", "FZERNPHA", "FZERNSAG", "IRREGULA", "QED_TYPE", "SZERNPHA", "SZERNSAG"),
     *("XODDASPH",),
 }
-"""Unsupported types that equal their conic if all their parameters are 0. Others, such as FRESNELS and PARAXIAL,
-bend rays in another way even then."""
+"""Unsupported types that equal their conic if all their parameters are 0. Other types, such as FRESNELS and
+PARAXIAL, bend rays in another way even then."""
 
 
 def shape_of(surface: ZemaxSurface, kind: str) -> Shape:
@@ -42,7 +42,7 @@ def _extended_asphere(surface: ZemaxSurface, base: Conic) -> Shape:
     count, norm = _terms_and_norm(surface, values)
     terms = {2 * place: value for place, value in surface.numbered("PARM").items()}
     for power in range(2, 2 * count + 1, 2):
-        # Higher powers are left out, and would overflow.
+        # Higher powers would overflow, and are left out.
         term = values.get(2 + power // 2, 0.0) / norm ** min(power, MOST_POWER)
         terms[power] = terms.get(power, 0.0) + term
     return surface.reading.asphere(base, terms, "XDAT")
