@@ -1,4 +1,4 @@
-"""The record of a diagnosis: verdict, causes with values and evidence, what stays unexplained, the corrected bench."""
+"""The record of a diagnosis: verdict, causes with values and evidence, unexplained residual, and corrected bench."""
 
 from dataclasses import dataclass, field
 
@@ -21,9 +21,9 @@ class ParameterValue:
 
     Attributes:
         name, unit: see `cause.Parameter`.
-        value: in that unit.
-        sigma: one standard error; 0 for a time, which is known to the gap between two captures.
-        prior_sigma, prior_mean: prior by practice, or as the bench file states it, in that unit.
+        value: fitted value, in that unit.
+        sigma: standard error; 0 for a time, which is known to within the gap between two captures.
+        prior_sigma, prior_mean: prior from practice, or as the bench file states it, in that unit.
     """
 
     name: str
@@ -39,8 +39,8 @@ class DegenerateCause:
     """Another cause with nearly the same effect.
 
     Attributes:
-        name: of the other cause.
-        share_of_gain: of the evidence that the named cause gains, to first order; 1 for the same effect.
+        name: name of the other cause.
+        share_of_gain: its first-order gain in evidence, relative to the named cause's; 1 for the same effect.
         separated_by: the extra measurement that separates the two.
     """
 
@@ -51,12 +51,12 @@ class DegenerateCause:
 
 @dataclass(frozen=True)
 class RankedCandidate:
-    """A candidate for the place of a cause, the others being as found.
+    """A candidate for the place of a cause, with the other causes as found.
 
     Attributes:
         name, variant: the cause and how it acts.
-        reduced_chi_squared: of the residual that it leaves; 1 is noise.
-        log10_odds: of the best candidate against this one, by their evidence; NaN where it was not fitted.
+        reduced_chi_squared: reduced chi-squared of the remaining residual; 1 is noise.
+        log10_odds: log10 odds of the best candidate against this one; NaN if it was not fitted.
     """
 
     name: str
@@ -72,15 +72,15 @@ class FoundCause:
     Attributes:
         name, title, part: see `cause.Cause`.
         variant: how it acts.
-        parameters: its values.
-        improvement: on held-out captures, over the other causes found without this one.
+        parameters: its fitted values.
+        improvement: improvement on held-out captures over the other found causes alone.
         degenerate: causes that it could be confused with.
-        ranking: the candidates for its place, best first, itself among them.
-        effect_over_noise: rms change of the readings by it, in units of sigma.
-        log10_odds: for it against none, the others being as found.
-        log10_odds_against_its_station: for its name against the fields of its station, or of another station with
-            closer evidence.
-        remedy: what to do about it; empty for the remedy of its part.
+        ranking: the candidates for its place, including itself, best first.
+        effect_over_noise: rms change of the readings by the cause, in units of sigma.
+        log10_odds: log10 odds for the cause against no cause in its place, with the others as found.
+        log10_odds_against_its_station: log10 odds for its name against the fields of its station, or of another
+            station with closer evidence.
+        remedy: its remedy; empty for the remedy of its part.
     """
 
     name: str
@@ -99,29 +99,29 @@ class FoundCause:
 
 @dataclass(frozen=True, eq=False)
 class StationEffect:
-    """An effect that no listed cause has, located at a station of the bench.
+    """An effect that no listed cause explains, located at a station of the bench.
 
     Attributes:
         station: "panel", "combiner", "camera", "target", "stage", "time", "head motion" or "eye tracking".
-        coordinates: of the station, on which it depends.
+        coordinates: coordinates of the station on which it depends.
         displaced: quantity that it displaces there, e.g. "shift".
         form: "smooth", or "fine" where it is finer than any smooth field.
-        parts: of the session that it changes.
-        log10_odds: for it against none.
-        next_station: the station of next best evidence; empty where no other was judged.
+        parts: parts of the session that it changes.
+        log10_odds: log10 odds for the effect against no effect.
+        next_station: the station with the next best evidence; empty where no other was judged.
         odds_against_next_station: log10 odds against that station.
         size: rms displacement at the station over the readings that it acts on, in `unit`; of a pose, its shift or
             its turn, whichever exceeds its error more; of heights, about their mean; of a spot, in its strongest cell;
             of a bump, its largest height, negative towards the eye.
         size_sigma: standard error of the size.
-        length: diameter of its spot, or of its cells, in `length_unit`; None for a smooth one.
+        length: diameter of its spot, or width of its cells, in `length_unit`; None for a smooth effect.
         place: (2,) middle of its spot in the coordinates of the station; None where it is spread over the station.
-        held_out_improvement: on captures left out of its fit.
-        share_of_excess_removed: share of the excess over noise and repeatability that it removes in these captures.
+        held_out_improvement: improvement on captures held out of its fit.
+        share_of_excess_removed: share of these captures' excess over noise and repeatability that it removes.
         likely: usual sources of such an effect.
-        is_in_bench: whether the corrected bench has it.
-        map_place: (m, v) coordinates of the station of readings that it acts on.
-        map_displacement: (m, d) there, in `map_unit`.
+        is_in_bench: whether the corrected bench contains it.
+        map_place: (m, v) coordinates, at the station, of the readings that it acts on.
+        map_displacement: (m, d) displacement there, in `map_unit`.
     """
 
     station: str
@@ -153,8 +153,8 @@ class TriedField:
 
     Attributes:
         station, coordinates, displaced: as in `StationEffect`.
-        degree: of best evidence.
-        log10_odds: for the field against none, with the located effects and the causes at work.
+        degree: degree with the best evidence.
+        log10_odds: log10 odds for the field against no field, with the causes and the located effects included.
     """
 
     station: str
@@ -170,8 +170,8 @@ class Unexplained:
 
     Attributes:
         part: "display", "see-through" or "run-time".
-        excess: variance of its residual over noise and usual repeatability, less one.
-        rms_over_noise: rms residual of that part over its noise.
+        excess: variance of its residual relative to noise and usual repeatability, minus one.
+        rms_over_noise: rms residual of that part relative to its noise.
     """
 
     part: str
@@ -181,13 +181,13 @@ class Unexplained:
 
 @dataclass(frozen=True)
 class ResidualSummary:
-    """Root mean square of measured minus simulated, per axis; None for a part that the session does not have.
+    """RMS of measured minus simulated, per axis; None for a part that the session does not have.
 
     Attributes:
         display_rms_px: panel pixels.
         see_through_rms_arcmin: arcminutes as the camera sees them.
         run_time_rms_arcmin: angle between the virtual and the real dot.
-        over_noise: of all readings, in units of sigma.
+        over_noise: rms of all readings, in units of sigma.
     """
 
     display_rms_px: float | None
@@ -198,11 +198,11 @@ class ResidualSummary:
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """The smallest size at which a parameter would have been found, acting alone.
+    """The smallest value of a parameter that would have been found if its cause acted alone.
 
     Attributes:
         cause, parameter, unit: names.
-        limit: `Settings.detection_limit_se` standard errors.
+        limit: smallest value: `Settings.detection_limit_se` standard errors.
     """
 
     cause: str
@@ -213,12 +213,12 @@ class DetectionLimit:
 
 @dataclass(frozen=True)
 class CaptureResidual:
-    """Residual of one capture over its noise.
+    """Residual of one capture relative to its noise.
 
     Attributes:
-        capture: its name.
-        readings: number of readings that count.
-        rms_before, rms_after: with the nominal and with the corrected bench, in units of sigma.
+        capture: name of the capture.
+        readings: number of readings used.
+        rms_before, rms_after: rms with the nominal and with the corrected bench, in units of sigma.
         excluded: whether the capture was excluded.
     """
 
@@ -235,8 +235,8 @@ class Correlations:
 
     Attributes:
         names: "cause.parameter" for each value.
-        matrix: (p, p).
-        condition: of the matrix; 1 where no values are correlated.
+        matrix: (p, p) correlation matrix.
+        condition: condition number of the matrix; 1 where no values are correlated.
     """
 
     names: tuple[str, ...] = ()
@@ -246,10 +246,10 @@ class Correlations:
 
 @dataclass(frozen=True)
 class MotionSize:
-    """Repeatability of the captures of a part: standard deviation of their cameras' motions per axis.
+    """Repeatability of the captures of a part: standard deviation of the camera's motion per axis.
 
     Attributes:
-        part: its name.
+        part: name of the part.
         shift_um, shift_error_um: repeatability of positions, and its standard error.
         turn_urad, turn_error_urad: repeatability of turns, and its standard error.
     """
@@ -266,12 +266,12 @@ class MovedCapture:
     """An excluded capture.
 
     Attributes:
-        capture: its name.
-        shift_mm: (3,) apparent shift of its camera, device frame; None where dots are located by a photograph without
-            the headset, which moves with the camera.
-        turn_deg: (3,) its apparent rotation; likewise.
+        capture: name of the capture.
+        shift_mm: (3,) apparent shift of its camera, device frame; None where a photograph without the headset, which
+            moves with the camera, locates the dots.
+        turn_deg: (3,) apparent rotation of its camera; None likewise.
         rms_before, rms_after: its rms residual in units of sigma, without and with that move.
-        log10_odds: for the move against one of the usual size.
+        log10_odds: log10 odds for the move against a motion of the usual size.
     """
 
     capture: CaptureName
@@ -293,27 +293,27 @@ class DiagnosisRecord:
         causes: named causes, largest effect first.
         effects: effects that no cause has, best odds first.
         excluded: captures that moved.
-        too_many_moved: captures of parts of which too many moved to tell which did; they are not excluded.
+        too_many_moved: captures of parts with too many moved captures to identify them; they are not excluded.
         noise_floors: noise of each part.
         motions: repeatability of each part that has two captures or more.
-        noise: residual expected of noise alone.
-        expected: residual expected of noise and the usual motions of the captures.
+        noise: residual expected from noise alone.
+        expected: residual expected from noise and the usual motions of the captures.
         before, after: residuals with the nominal and with the corrected bench.
-        unexplained_parts: parts of which more than noise is left, worst first.
+        unexplained_parts: parts with more than noise left, worst first.
         fields: all fields that were judged, best odds first.
-        detection_limits: of every cause; for a verdict of no effect.
+        detection_limits: detection limits of every cause; only for a verdict of no effect.
         reasons: sentences on why the selection ended, and on causes that were considered and dropped.
         captures: residual of each capture.
         correlations: between all values found.
         observations: all readings, with the noise that was used.
-        residual_before, residual_after: (n, 2) units of sigma, of all readings, excluded ones too.
-        usual_motion: (n, 2, 6) units of sigma: change of the readings by a motion of their capture's camera along and
-            about each axis, of the size to which captures repeat.
-        used: (n,) readings that are not excluded.
+        residual_before, residual_after: (n, 2) residuals of all readings, including excluded ones, in units of sigma.
+        usual_motion: (n, 2, 6) change of the readings, in units of sigma, by a camera motion of the usual size along
+            and about each axis.
+        used: (n,) mask of the readings that are not excluded.
         corrected: the corrected bench.
         readings: readings that are not outliers, with the errors that the bench gives them.
-        fit: of all causes to these readings.
-        settings: thresholds of the diagnosis, also of its sentences.
+        fit: fit of all causes to these readings.
+        settings: thresholds of the diagnosis and of its sentences.
     """
 
     session: str
@@ -348,7 +348,7 @@ class DiagnosisRecord:
 
     @property
     def is_corrected(self) -> bool:
-        """True if causes, or effects that a bench file can state, correct the nominal bench."""
+        """True if the corrected bench differs from the nominal one, by causes or by effects that a file can state."""
         return self.corrected is not self.observations.nominal
 
     @property

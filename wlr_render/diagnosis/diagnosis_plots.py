@@ -17,12 +17,12 @@ from wlr_render.report.plots import arrow_map, axis, curves
 
 _BEFORE, _AFTER, _GREY = "#c4651a", "#2f7fc1", "#8c8c8c"
 _CELLS = (14, 11)  # arrows across and down
-_BINS = 12  # per variable
+_BINS = 12  # bins per variable
 _COLUMNS = 3  # plots in a row
-_BAND = 2.0  # standard errors that count as noise
+_BAND = 2.0  # half width of the noise band, in standard errors
 _HISTOGRAM = np.linspace(-6.0, 6.0, 61)
 _QUANTILES = 99
-_FARTHEST = 4.0  # largest normal quantile that is shown
+_FARTHEST = 4.0  # largest normal quantile shown
 _TICKS = [step * power for power in (0.1, 1, 10, 100, 1000) for step in (1, 2, 5)]  # ticks of a logarithmic axis
 
 
@@ -82,7 +82,7 @@ _LABELS = {
 
 
 def effect_map(effect: StationEffect) -> Plot:
-    """Plot the displacement by a located effect at its station: arrows or colours over two coordinates, else curves."""
+    """Plot the displacement of a located effect at its station: arrows or colours over two coordinates, else curves."""
     title, unit = f"Effect {STATIONS[effect.station][0]}: {effect.displaced}", effect.map_unit
     caption = f"{effect.displaced} ({unit}) over {effect.coordinates}: {effect.form}, as the readings show it."
     place, moved = effect.map_place[:, np.ptp(effect.map_place, axis=0) > 0.0][:, :2], effect.map_displacement
@@ -156,9 +156,9 @@ class BinnedResidual:
     """Residuals in bins of a variable.
 
     Attributes:
-        middle: (k,) of the bins, by the variable.
-        means: (2, k) of both components.
-        band: (k,) how far noise and the usual motion of captures would move a mean.
+        middle: (k,) mean of the variable in each bin.
+        means: (2, k) mean of both components of the residual.
+        band: (k,) limit of a mean that noise and the usual motion of captures can explain.
         excess: (k,) rms of the readings beyond noise and motion.
     """
 
@@ -169,14 +169,14 @@ class BinnedResidual:
 
 
 def binned(variable: Variable, residual: FloatArray, part: PartView) -> BinnedResidual:
-    """Return mean and excess of a residual (n, 2) of a part, arcminutes, in bins of a variable."""
+    """Return mean and excess of a part's residual (n, 2), in arcminutes, in bins of a variable."""
     good = np.isfinite(residual).all(axis=1)
     both = np.concatenate([residual[good][:, :, None], part.motion[good]], axis=2)
     if variable.outwards is not None:
         both = np.stack([_radial(each, variable.outwards[good]) for each in np.moveaxis(both, 2, 0)], axis=2)
     along, motion = both[:, :, 0], both[:, :, 1:]
     index, counts = _bins(variable.values[good])
-    # Readings of one capture move together; both axes have one band.
+    # Readings of one capture move together; both axes share one band.
     capture = np.unique(np.stack([index, part.group[good]]), axis=1, return_inverse=True)
     bin_of, together = capture[0][0], capture[1].ravel()
     sums = [np.bincount(together, each, len(bin_of)) for each in motion.reshape(len(motion), -1).T]
@@ -199,7 +199,7 @@ def normality_plot(diagnosis: DiagnosisRecord) -> Plot:
     density = counts / len(values) / float(_HISTOGRAM[1] - _HISTOGRAM[0])
     middle = 0.5 * (_HISTOGRAM[1:] + _HISTOGRAM[:-1])
     normal = np.exp(-0.5 * middle**2) / np.sqrt(2 * np.pi)
-    # Evenly spaced quantiles show the tails; beyond the farthest there are fewer than five values.
+    # Evenly spaced quantiles show the tails; fewer than five values lie beyond the farthest one.
     farthest = min(_FARTHEST, -float(scipy.special.ndtri(min(0.4, 5.0 / len(values)))))
     expected = np.linspace(-farthest, farthest, _QUANTILES)
     right, ends = {"xaxis": "x2", "yaxis": "y2"}, [-farthest, farthest]
@@ -233,10 +233,10 @@ def captures_plot(
     """Plot the rms residual of each capture over its noise.
 
     Args:
-        captures: names.
-        rms: of each capture in units of sigma, by name of the bench.
+        captures: names of the captures.
+        rms: rms residual of each capture in units of sigma, by name of the bench.
         caption: one or two sentences.
-        excluded: whether each capture was excluded; all count if empty.
+        excluded: whether each capture was excluded; none was if empty.
     """
     marks = ["x" if each else "circle" for each in excluded] or "circle"
     data = [
@@ -266,7 +266,7 @@ def _radial(residual: FloatArray, outwards: FloatArray) -> FloatArray:
 
 
 def _bins(values: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return the bin of each value (n,), and the number of values in each bin; few distinct values have a bin each."""
+    """Return the bin of each value (n,), and the number of values per bin; a few distinct values get a bin each."""
     distinct = np.unique(np.round(values, 9))
     if len(distinct) <= _BINS:
         edges = 0.5 * (distinct[1:] + distinct[:-1])

@@ -1,4 +1,4 @@
-"""Located effects as a report states them: place, size, usual sources, and gain on held-out captures."""
+"""Located effects as the report states them: place, size, usual sources, and improvement on held-out captures."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -50,7 +50,7 @@ _LIKELY = {
 }
 """Usual sources of an effect, by its station and the start of its form."""
 
-_BUMP_PLACES = 4000  # places at which a bump's height is computed
+_BUMP_PLACES = 4000  # number of places at which a bump's height is computed
 
 STATIONS = {
     "panel": ("on the panel", "a photograph of the bare panel that shows a lit grid"),
@@ -68,7 +68,7 @@ STATIONS = {
     "head motion": ("of the head's motion", "the same rates of the head in other directions of gravity"),
     "eye tracking": ("of the eye tracking", "the same gaze from several places of the headset"),
 }
-"""Each station as it stands in a sentence, and the measurement that tells an effect at it from others."""
+"""Each station as a phrase for sentences, and the measurement that separates its effects from other stations'."""
 
 
 def station_effects(
@@ -81,10 +81,10 @@ def station_effects(
     """Return the records of effects, largest odds first, without effects that may be remainders of others.
 
     Args:
-        contest: in which the smooth effects were located.
-        located: these effects.
-        scatter: sizes of noise and motions with all of them at work.
-        fine: the effect that is too fine for a field, if there is one.
+        contest: contest in which the smooth effects were located.
+        located: the smooth effects.
+        scatter: sizes of noise and motions with all smooth effects included.
+        fine: the effect that is too fine for a field, if any.
         as_stated: predictor of all readings, with the noise as stated.
     """
     estimates = contest.values_and_covariances(located, scatter)
@@ -107,7 +107,7 @@ def _smooth(
 ) -> StationEffect:
     field, acts = effect.field, effect.field.acts
     bump = _bump(effect.in_bench(values, covariance))
-    # What the functions leave of a hard edge changes the height by about as much as fewer or more of them do.
+    # Truncation at a hard edge changes the height about as much as a change of the degree does.
     fewer = [each for each in field.degrees if each < effect.degree][-1:]
     others = fewer or [each for each in field.degrees if each > effect.degree][:1]
     if bump and others:
@@ -142,8 +142,8 @@ def _smooth(
 def _bump(effects: Sequence[BenchEffect]) -> dict[str, Any]:
     """Return form, size and place of the bump that a bench states for a field; empty if the effect is not a bump.
 
-    A bump is a height in a spot of the combiner. Its size is the height where it is largest, um; its place and length
-    are of the part of more than half that height, millimetres.
+    A bump is a height in a spot of the combiner. Its size is the largest height, um; its place and length describe
+    the region above half that height, millimetres.
     """
     function = effects[0].function if effects else None
     if not isinstance(function, LocalWaves) or effects[0].covariance is None:
@@ -192,7 +192,7 @@ def _fine(fine: FineEffect, as_stated: Predictor) -> StationEffect:
 
 
 def _likely(station: str, form: str) -> tuple[str, ...]:
-    """Return the usual sources of effects at a station, by the longest key that starts the form."""
+    """Return the usual sources of effects at a station, from the longest key with which the form starts."""
     fitting = [key for key in _LIKELY if key[0] == station and form.startswith(key[1])]
     key = max(fitting, key=lambda each: len(each[1]), default=None)
     return _LIKELY[key] if key else next((likely for each, likely in _LIKELY.items() if each[0] == station), ())

@@ -1,11 +1,11 @@
 """Effects that are located at a station by evidence: fields compete with each other, with causes, and with chance.
 
-A cause that a displacement of any shape does as well has not earned its name.
+A cause is not named if a displacement of arbitrary shape explains the readings equally well.
 
-All fields and the causes of a fit are columns of one linear model with random motions of the captures
-(`scatter`). The evidence for a field is the probability of the readings with its coefficients integrated out, over an
-unknown common size; the known causes and the effects located before are integrated out, too. Everything follows from
-one set of sums over the readings.
+All fields and the causes of a fit are columns of one linear model with random motions of the captures (`scatter`).
+The evidence for a field is the probability of the readings, with its coefficients and their unknown common size
+integrated out; the known causes and the effects located before are integrated out, too. Everything follows from one
+set of sums over the readings.
 """
 
 from collections.abc import Iterable, Sequence
@@ -37,14 +37,14 @@ from wlr_render.numerics.scatter_search import best_scatter
 _SIZES = np.geomspace(0.01, 300.0, 30)  # sizes of a field's coefficients to try, in units of sigma
 _LESS_MOTION = (1.0, 0.3, 0.05)  # sizes of the captures' motions to try, relative to those without the field
 MOST_EFFECTS = 3
-"""Effects that are located in one session, and effects that these may leave."""
+"""Most effects located in one session, and most remainders of these."""
 _FAIR_SHARE = 0.25  # least log odds of a further effect, relative to the first effect's
-_PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
-_NONE = np.zeros(0, dtype=np.int64)  # columns
-_OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
+_PREDICTS = 2.0  # standard errors by which held-out captures must be predicted better
+_NONE = np.zeros(0, dtype=np.int64)  # no columns
+_OWN_SHAPE = 0.1  # share of a cause's effect outside a field from which the field also gets the cause's shape
 _MEAN_OF_DRIFT = 4.0  # size of a drift's constant over its other terms'; rms 3.5 to 5.2 for walks of degree 2 to 12
-_NEARLY_ALL = 0.95  # share of the evidence for cause and field together from which a cause needs no field
-_LARGER_NOISE = 1.05  # noise over that within photographs from which it is tried as well
+_NEARLY_ALL = 0.95  # share of the evidence of cause and field together from which the cause needs no field
+_LARGER_NOISE = 1.05  # noise factor of the fit above which it is tried in addition to 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,8 @@ class FieldContest:
 
     Attributes:
         readings: the readings.
-        found: the fit to them.
-        fields: that compete.
+        found: the fit to the readings.
+        fields: the competing fields.
         fixed: sums over the columns of the fields, after any others.
     """
 
@@ -70,13 +70,13 @@ class FieldContest:
 
     @cached_property
     def _first(self) -> IntArray:
-        """Column at which each field begins."""
+        """First column of each field."""
         sizes = [field.order.size for field in self.fields]
         return np.asarray(len(self.fixed.mean) - sum(sizes) + np.cumsum([0, *sizes])[: len(sizes)])
 
     @cached_property
     def _causes(self) -> IntArray:
-        """Columns of the causes of the fit."""
+        """Columns of the fit's causes."""
         return np.asarray(len(self.fixed.mean) + np.arange(self.found.at.free.size))
 
     @cached_property
@@ -96,7 +96,7 @@ class FieldContest:
         return np.asarray(self._first[number] + np.flatnonzero(self.fields[number].counting(degree, above)))
 
     def _known(self, effects: Iterable[LocatedEffect], causes: IntArray) -> Known:
-        """Columns of causes and of effects, with their prior sigmas."""
+        """Return the columns of causes and of effects, with their prior sigmas."""
         columns, sigma = [causes], [np.ones(causes.size)]
         for effect in effects:
             columns.append(self._columns(self.fields.index(effect.field), effect.degree, effect.above))
@@ -106,12 +106,11 @@ class FieldContest:
     def located(
         self, least_log10_odds: float, most: int = MOST_EFFECTS, before: Sequence[LocatedEffect] = ()
     ) -> list[LocatedEffect]:
-        """Return the effects that the readings show in addition to the causes, in the order of their evidence.
+        """Return the effects that the readings show in addition to the causes, best evidence first.
 
-        Each has good odds and improves the prediction of captures left out of its fit; a spurious match does not.
+        Each has good odds and improves the prediction of captures held out of its fit; a spurious match does not.
         Further effects need a fair share of the first effect's odds, because a field that describes an effect
-        imperfectly leaves a small residual everywhere. With effects that were located `before`, return remainders of
-        these.
+        imperfectly leaves a small residual everywhere. Given the effects located `before`, return their remainders.
         """
         effects: list[LocatedEffect] = []
         while len(effects) < most:
@@ -120,7 +119,7 @@ class FieldContest:
             least = max(least_log10_odds, _FAIR_SHARE * effects[0].log10_odds if effects and not before else 0.0)
             if best is None or best.log10_odds < least:
                 break
-            # A spot is seen in few captures, too few for a comparison; cells of different captures agree there.
+            # Too few captures see a spot for cross-validation; but cells of different captures agree there.
             is_plain = best.field.is_in_spot and best.log10_odds > BEYOND_DOUBT and not beside
             scatter = self.scatter_beside([*beside, best])
             if not is_plain and self.held_out(best, scatter, beside)[0].significance < _PREDICTS:
@@ -144,11 +143,11 @@ class FieldContest:
         return replace(self, found=replace(self.found, at=at))
 
     def gain_of_best(self, shapes: Sequence[IntArray], most: int) -> float:
-        """Return the fall of -2 log evidence by the best shapes together, chosen one after the other.
+        """Return the fall of -2 log evidence by the best shapes together, chosen one at a time.
 
         Args:
-            shapes: fixed columns of each, in prior sigmas.
-            most: how many are taken.
+            shapes: fixed columns of each shape, in prior sigmas.
+            most: largest number of shapes.
         """
         known, left = self._known((), self._causes), list(shapes)
         least = start = self._least(known)
@@ -164,13 +163,13 @@ class FieldContest:
 
     @cached_property
     def ranked(self) -> list[LocatedEffect]:
-        """Every field, added to the causes, with its best degree and size; best first."""
+        """All fields, each added to the causes with its best degree and size; best first."""
         return self._ranked_beside((), further=False)
 
     def _ranked_beside(self, beside: Sequence[LocatedEffect], further: bool) -> list[LocatedEffect]:
-        """Return every field, added to the causes and some effects, best first; each bears the same charge."""
+        """Return all fields, each added to the causes and some effects, best first; all have the same penalty."""
         known = self._known(beside, self._causes)
-        # Functions of a higher order than the located ones may have another size.
+        # Functions of higher order than the located ones may have a different size.
         taken = {id(each.field): each.degree for each in sorted(beside, key=lambda each: each.degree)}
         tried = [
             (number, degree, taken.get(id(field), -1))
@@ -196,19 +195,19 @@ class FieldContest:
         return ranked
 
     def _least(self, known: Known) -> float:
-        """-2 log evidence of the known causes and effects alone."""
+        """Return -2 log evidence of the known causes and effects alone."""
         return min(sums.of_columns(known).minus_two_log_evidence + cost for sums, cost in self._scatters)
 
     def _least_of(
         self, tried: tuple[int, int, int], known: Known, added: IntArray = _NONE, mean: float = 1.0
     ) -> tuple[float, float]:
-        """-2 log evidence of a field with the known columns, over all sizes, and its most probable size.
+        """Return -2 log evidence of a field with the known columns, over all sizes, and its most probable size.
 
         Args:
             tried: number of the field, its degree, and the order above which its functions count.
             known: the columns that are integrated out.
-            added: columns of causes that the field has as well, at unit rms.
-            mean: size of the field's constants over the size of its other coefficients.
+            added: columns of causes added to the field, at unit rms.
+            mean: size of the field's constants relative to the size of its other coefficients.
         """
         columns, field = self._columns(*tried), self.fields[tried[0]]
         own = self.found.at.jacobian[:, :, added - len(self.fixed.mean)]
@@ -219,23 +218,23 @@ class FieldContest:
             alone = sums.folded(known, np.r_[columns, added])
             bases.append(alone.minus_two_log + cost)
             costs.append(costs_of_sizes(scale[:, None] * alone.information * scale, scale * alone.gradient, _SIZES))
-        # All sizes are equally likely beforehand.
+        # All sizes are equally likely a priori.
         least = np.array(bases) - 2.0 * (np.logaddexp.reduce(-0.5 * np.array(costs), axis=1) - np.log(len(_SIZES)))
         best = int(np.argmin(least))
         charge = 2.0 * np.log(field.alternatives)
         return float(least[best] + charge), float(_SIZES[int(np.argmin(costs[best]))])
 
     def scatter_beside(self, effects: Sequence[LocatedEffect]) -> Scatter:
-        """Return the sizes of noise and motions with the causes and effects at work."""
+        """Return the sizes of noise and motions with the causes and effects included."""
         known = self._known(effects, self._causes)
         return best_scatter(self.sums.of_columns(known.columns, sigma=known.sigma), self.found.scatter)[0]
 
     def values_and_covariances(
         self, effects: Sequence[LocatedEffect], scatter: Scatter
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """Return the most probable coefficients (c,) of effects that act together, the causes being as fitted.
+        """Return the most probable coefficients (c,) and covariance (c, c) of each effect, the causes as fitted.
 
-        Each effect's with their covariance (c, c).
+        The effects are fitted together.
         """
         known = self._known(effects, _NONE)
         sums = marginal(self.sums.of_columns(known.columns, sigma=known.sigma), scatter)
@@ -245,7 +244,7 @@ class FieldContest:
         return [(values[each], covariance[each, each]) for each in slices]
 
     def left(self, effects: Sequence[LocatedEffect], scatter: Scatter) -> FloatArray:
-        """Return what causes and effects leave of the readings, (n, 2)."""
+        """Return the residual (n, 2) after causes and effects."""
         left = self.found.at.residual
         for effect, (values, _) in zip(effects, self.values_and_covariances(effects, scatter), strict=True):
             left = left - effect.acting.columns @ values
@@ -254,11 +253,11 @@ class FieldContest:
     def held_out(
         self, effect: LocatedEffect, scatter: Scatter, beside: Sequence[LocatedEffect] = ()
     ) -> tuple[HeldOutImprovement, float]:
-        """Return the improvement of captures left out of an effect's fit, and the share of their excess it removes.
+        """Return the improvement of captures held out of an effect's fit, and the share of their excess it removes.
 
         Args:
             effect: the effect.
-            scatter: sizes of noise and motions with all effects at work.
+            scatter: sizes of noise and motions with all effects included.
             beside: effects found before, with their values from all captures.
         """
         group, residual = self.readings.observations.group, self.left(beside, scatter)
@@ -273,15 +272,14 @@ class FieldContest:
         return held_out_improvement(left[acts], after[acts], group[acts]), share
 
     def odds_of_cause(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> tuple[float, str]:
-        """Return log10 odds for a cause against the fields that come closest, and the station of these.
+        """Return log10 odds for a cause against the closest rival fields, and the station of these fields.
 
-        A prism in the view turns it as a wrong pose of the target does: a name that a field of another station
-        could take is not earned.
+        Fields of other stations are rivals, too: a prism in the view turns it just as a wrong pose of the target does.
 
         Args:
             number: index of the cause in the fit.
-            station: its station.
-            beside: effects located in addition to it.
+            station: station of the cause.
+            beside: effects located in addition to the cause.
         """
         located, mine = {each.field.station for each in beside}, self.found.owner == number
         odds = [(self._odds_at_its_station(mine, station, beside), station)]
@@ -300,8 +298,8 @@ class FieldContest:
     def _odds_at_its_station(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
         """Return log10 odds for a cause, alone or with a field, against the fields of its station.
 
-        If cause and field explain more together, the fields get the cause's shape as well: otherwise they could not
-        imitate it, and its name would always win. This does not apply to a cause that explains nearly all alone.
+        If cause and field explain more together, the fields also get the cause's shape: otherwise they could not
+        imitate the cause, and its name would always win. This does not apply to a cause that alone explains nearly all.
         """
         named, unnamed = self._with_and_without(mine, station, beside)
         tried, span = self._tried_at(station), unnamed.moved
@@ -316,13 +314,13 @@ class FieldContest:
             self._least_of(each, unnamed, span[self._beyond(self._columns(*each), span) > _OWN_SHAPE])[0]
             for each in tried
         )
-        # Together with a field of its station a cause keeps its name only if it is the better of the two; otherwise it
-        # is a part of that field with a similar shape.
+        # A cause together with a field of its station keeps its name only if it is the better of the two; otherwise
+        # its effect is a part of that field.
         with_name = min(alone, both) if alone < field else alone
         return float(LOG10_ODDS * (min(nothing, spanned + charge) - with_name))
 
     def _odds_beside(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
-        """Log10 odds for a cause against none where a field of another station may explain the same."""
+        """Return log10 odds for a cause against no cause, where a field of another station may explain the same."""
         named, unnamed = self._with_and_without(mine, station, beside)
         tried = self._tried_at(station)
         means = (1.0, _MEAN_OF_DRIFT) if station in ELSEWHERE else (1.0,)
@@ -335,7 +333,7 @@ class FieldContest:
     def _odds_against(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
         """Return log10 odds for causes against the fields of a station that replace them.
 
-        A constant at a station in `ELSEWHERE` is a motion of another station as a whole: it rivals no name.
+        A constant at a station in `ELSEWHERE` moves another station as a whole, so that it rivals no cause.
         """
         named, unnamed = self._with_and_without(mine, station, beside)
         tried = self._tried_at(station, constants=station not in ELSEWHERE)
@@ -348,7 +346,7 @@ class FieldContest:
         return min(self._least_of(each, known)[0] for each in tried)
 
     def _tried_at(self, station: str, constants: bool = True) -> list[tuple[int, int, int]]:
-        """All fields of a station, by degree; without its constants, if it has others."""
+        """Return all fields of a station with their degrees, with or without constants."""
         above = -1 if constants else 0
         return [
             (number, degree, above)
@@ -358,18 +356,18 @@ class FieldContest:
         ]
 
     def _with_and_without(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> tuple[Known, Known]:
-        """Return the model with causes, and without them, at their null values.
+        """Return the model with causes, and the model with these causes at their null values.
 
         `mine` is a mask (p,) of these causes' columns in the fit.
         """
         elsewhere = [each for each in beside if each.field.station != station]
         unnamed = self._known(elsewhere, self._causes[~mine])
-        # The causes' own values count from none.
+        # The residual is at the fitted values, so moving by minus the values removes the causes.
         unnamed = unnamed._replace(moved=self._causes[mine], by=-self.found.effects[mine])
         return self._known(elsewhere, self._causes), unnamed
 
     def _beyond(self, columns: IntArray, span: IntArray) -> FloatArray:
-        """Share of each column of a span (s,) that lies outside some columns, as the readings weigh them."""
+        """Return the share of each column of `span` (s,) outside the space of `columns`, weighted by the readings."""
         sums, _ = self._scatters[0]
         own = sums.information[np.ix_(columns, columns)]
         across = sums.information[np.ix_(columns, span)]

@@ -1,4 +1,4 @@
-"""Fields as sums of smooth functions of a station's coordinates, and the effects that are located by them."""
+"""Fields as sums of smooth functions of a station's coordinates, and the effects that they locate."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,9 +14,9 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.numerics.waves import LocalWaves, Wave
 
 ELSEWHERE = ("stage", "time")  # stations at which a constant acts like one of the camera or of the panel
-_NEIGHBOURS = 4  # neighbours of a reading at its station that are compared with it
-_WILD = 4.0  # sigma; a reading counts no more than this
-_IDLE = 1e-9  # rms of a column in sigma below which it does nothing
+_NEIGHBOURS = 4  # number of neighbours at the station with which each reading is compared
+_WILD = 4.0  # sigma at which residuals are clipped
+_IDLE = 1e-9  # rms of a column, in sigma, below which it has no effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,15 +28,16 @@ class StationField:
         coordinates: coordinates of the station on which the displacement depends.
         form: kind of displacement, for reports.
         columns: (n, 2, c) change of each reading by each function, in units of sigma; rms 1 over the readings.
-        order: (c,) order of each function; a field of lower degree has those up to it.
-        degrees: that are tried, ascending.
-        place: (n, v) coordinates of each reading; those in `acts` (n,) feel the field.
-        unit: of the displacement.
+        order: (c,) order of each function; a field of lower degree has the functions up to that order.
+        degrees: degrees to try, ascending.
+        place: (n, v) coordinates of each reading.
+        acts: (n,) mask of the readings on which the field acts.
+        unit: unit of the displacement.
         displacement: coefficients (c,) -> (n, d) displacement in the unit.
-        in_bench: coefficients (c,) -> effects of a bench that do the same; None where no bench file can state them.
-        is_in_spot: whether it is zero outside a spot of its station.
-        period: of a wave along one coordinate, in the coordinate's unit; 0 for others.
-        alternatives: number of such fields of which the readings chose this one; its evidence is charged for them.
+        in_bench: coefficients (c,) -> bench effects that do the same; None where no bench file can state them.
+        is_in_spot: whether the field is zero outside a spot of its station.
+        period: period of a wave along one coordinate, in the coordinate's unit; 0 for other fields.
+        alternatives: number of similar fields from which the readings chose this one; its evidence is penalised by it.
     """
 
     station: str
@@ -60,11 +61,11 @@ class StationField:
         return self.station, self.coordinates, self.form
 
     def counting(self, degree: int, above: int = -1) -> BoolArray:
-        """Return a mask (c,) of the functions of order up to `degree` and beyond `above`."""
+        """Return a mask (c,) of the functions of order above `above` and up to `degree`."""
         return np.asarray((self.order <= degree) & (self.order > above))
 
     def selected(self, which: BoolArray, size: FloatArray | float = 1.0) -> "StationField":
-        """Return the field of the functions in a mask (c,), each divided by its size (c,)."""
+        """Return the field with only the functions in a mask (c,), each divided by its size (c,)."""
         per, of_all = np.broadcast_to(size, len(which))[which], self.in_bench
 
         def every(values: FloatArray) -> FloatArray:
@@ -86,12 +87,13 @@ class Terms:
     """Smooth functions of coordinates.
 
     Attributes:
-        coordinates: their name.
+        coordinates: name of the coordinates.
         place: (n, v) coordinates of each reading.
-        values: (n, t) functions. order: (t,) of each.
-        degrees: that are tried, ascending.
-        stated: these functions in turn, as effects of a bench state them; of each of `copies`. One output for each.
-        copies: attributes of a bench's effect that limit each copy of the functions to some readings.
+        values: (n, t) values of the functions.
+        order: (t,) order of each function.
+        degrees: degrees to try, ascending.
+        stated: the functions in the form of bench effects, with one output per function; the same for each copy.
+        copies: attributes of a bench effect that limit each copy of the functions to some readings.
         means: (t,) constant that was subtracted from each function.
     """
 
@@ -105,19 +107,19 @@ class Terms:
     means: FloatArray | None = None
 
     def varying(self) -> "Terms":
-        """Return the functions less their means, except a constant, of order 0."""
+        """Return the functions minus their means; the constant, of order 0, stays."""
         means = np.where(self.order > 0, self.values.mean(axis=0), 0.0)
         return replace(self, values=self.values - means, means=means)
 
     def for_each(self, limit: str, numbers: IntArray) -> "Terms":
-        """Return copies of the functions, one for each value of the numbers (n,) by which effects are limited."""
+        """Return copies of the functions, each limited to the readings with one value of `numbers` (n,)."""
         values = np.unique(numbers)
         copies = np.concatenate([self.values * (numbers == each)[:, None] for each in values], axis=1)
         limits = tuple({limit: int(each)} for each in values)
         return replace(self, values=copies, order=np.tile(self.order, len(values)), copies=limits)
 
     def effects(self, station: str, displaces: str, coefficients: FloatArray) -> tuple[BenchEffect, ...]:
-        """Return effects of a bench by coefficients (t, k) of the functions, for each copy with its limits."""
+        """Return the bench effects for coefficients (t, k) of the functions; each copy has its limits."""
         if self.means is not None:
             coefficients = coefficients - np.outer(self.order == 0, self.means @ coefficients)
         ends = np.cumsum([len(each.coefficients) for each in self.stated])[:-1]
@@ -129,7 +131,7 @@ class Terms:
 
 
 def smooth_terms(coordinates: str, variables: FloatArray, *degrees: int, orders: IntArray | None = None) -> Terms:
-    """Return the polynomials of variables (n, v) up to the last of the degrees, or of the given orders (t, v)."""
+    """Return polynomials of the variables (n, v), up to the last degree or of the given orders (t, v)."""
     orders = total_degree(variables.shape[1], degrees[-1]) if orders is None else orders
     stated = polynomials(orders, Box.around(variables))
     values = basis(variables, orders, stated.box)
@@ -137,7 +139,7 @@ def smooth_terms(coordinates: str, variables: FloatArray, *degrees: int, orders:
 
 
 def polynomials(orders: IntArray, box: Box) -> Polynomial:
-    """Return one polynomial for each row of orders (t, v), as outputs of a function."""
+    """Return a function with one output per row of orders (t, v): the polynomial of these orders."""
     return Polynomial(orders, box, np.eye(len(orders)))
 
 
@@ -155,11 +157,11 @@ def field_of(
 
     Args:
         station, form, unit: as in `StationField`.
-        terms: at these readings (m,).
-        lever: (m, 2, k) sigma per unit; (m, 2, t, k) where it is another one for each function.
+        terms: terms at these readings (m,).
+        lever: (m, 2, k) change of the readings in sigma per unit; (m, 2, t, k) if it differs between functions.
         rows: mask (n,) of these readings.
         displaces: `displaces` of the bench effect with the same action at that station; empty without one.
-        axes: (k, d) of the components in the displacement of that effect; the same components if not given.
+        axes: (k, d) components in the displacement of that effect; default: the same components.
     """
     count, components = len(lever), lever.shape[-1]
     by_term = lever if lever.ndim == 4 else lever[:, :, None, :] * terms.values[:, None, :, None]
@@ -196,12 +198,12 @@ class LocatedEffect:
     """A field that the readings show.
 
     Attributes:
-        field: where and how it acts.
+        field: the field: where and how it acts.
         degree: highest order of its functions.
-        above: order above which its functions count; functions up to it belong to another effect. -1 for all.
+        above: order above which its functions are used; functions up to it belong to another effect. -1 for all.
         size: most probable size of its coefficients, in units of sigma.
-        log10_odds: for it against no effect, given the known causes and effects.
-        next_station: the station of next best evidence; empty without one.
+        log10_odds: log10 odds for the effect against no effect, given the known causes and effects.
+        next_station: the station with the next best evidence; empty without one.
         odds_against_next: log10 odds against that station.
         is_rest: whether it may be a remainder of the effects located before it.
     """
@@ -216,22 +218,22 @@ class LocatedEffect:
     is_rest: bool = False
 
     def over(self, fields: Sequence[StationField]) -> "LocatedEffect":
-        """Return the same effect on other readings, of which these are the fields."""
+        """Return the same effect on other readings, given the fields of these readings."""
         return replace(self, field=next(each for each in fields if each.kind == self.field.kind))
 
     @cached_property
     def acting(self) -> StationField:
-        """The field of the functions that count."""
+        """The field with only the functions of this effect."""
         return self.field.selected(self.field.counting(self.degree, self.above))
 
     def size_of(self, values: FloatArray, covariance: FloatArray) -> tuple[float, float, str]:
-        """Return the rms displacement over the readings that feel the field, its standard error and its unit.
+        """Return the rms displacement over the readings on which the field acts, its standard error and its unit.
 
-        Of shifts and turns, return the one with the larger ratio to its error.
+        For a field of shifts and turns, return the one with the larger ratio to its error.
 
         Args:
             values: (c,) coefficients.
-            covariance: (c, c) of them.
+            covariance: (c, c) covariance of the coefficients.
         """
         units = self.field.unit.split(", ")
         if self.field.period:  # the constant term is not part of the wave
@@ -239,7 +241,7 @@ class LocatedEffect:
             values, covariance = values * varies, covariance * np.outer(varies, varies)
 
         def by_unit(coefficients: FloatArray) -> FloatArray:
-            """Return the displacement (units, n, k)."""
+            """Return the displacement (units, n, k), split by unit."""
             return np.stack(np.split(self.acting.displacement(coefficients)[self.field.acts], len(units), axis=1))
 
         displaced = by_unit(values)
@@ -251,11 +253,11 @@ class LocatedEffect:
         return float(size[clearest]), float(sigma[clearest]), units[clearest]
 
     def in_bench(self, values: FloatArray, covariance: FloatArray) -> tuple[BenchEffect, ...]:
-        """Return the effects of a bench that do the same; none where no bench file states such.
+        """Return the bench effects that do the same; empty where no bench file can state them.
 
         Args:
             values: (c,) coefficients.
-            covariance: (c, c) of them.
+            covariance: (c, c) covariance of the coefficients.
         """
         stated = self.acting.in_bench
         if stated is None:
@@ -270,18 +272,18 @@ class LocatedEffect:
 
 
 def _coefficients(effect: BenchEffect) -> FloatArray:
-    """Return the coefficients (p,) of an effect that a field states, row by row."""
+    """Return the coefficients (p,) of a field's bench effect, flattened row by row."""
     assert not isinstance(effect.function, AnyFunction)
     return effect.function.coefficients.ravel()
 
 
 def neighbours_agree(field: StationField, left: FloatArray, standard_errors: float) -> bool:
-    """Return whether residuals of readings that are near each other at a station correlate.
+    """Return whether residuals of neighbouring readings at a station correlate.
 
     Args:
-        field: its constant functions give the change of each reading by a displacement.
+        field: field with constant functions, which give the change of each reading by a displacement.
         left: (n, 2) residual of the readings, in units of sigma.
-        standard_errors: significance beyond which a mean product of neighbours is not chance.
+        standard_errors: significance above which a mean product of neighbours is not due to chance.
     """
     rows = np.flatnonzero(field.acts)
     place = field.place[rows] / np.maximum(field.place[rows].std(axis=0), np.finfo(float).tiny)
@@ -296,7 +298,7 @@ def neighbours_agree(field: StationField, left: FloatArray, standard_errors: flo
 
 
 def over_rows(mask: BoolArray, values: FloatArray, elsewhere: float = 0.0) -> FloatArray:
-    """Return values (m, ...) of the readings in a mask (n,), and one value elsewhere."""
+    """Return an array over all readings (n, ...): `values` (m, ...) in the mask (n,), and `elsewhere` outside it."""
     full = np.full((len(mask), *values.shape[1:]), elsewhere)
     full[mask] = values
     return full

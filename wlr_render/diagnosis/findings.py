@@ -1,4 +1,4 @@
-"""Findings of a fit: causes with their values, detection limits, residuals, and their expected size."""
+"""Findings of a fit: causes with their values, detection limits, residuals, and the expected residuals."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -45,8 +45,8 @@ def found_cause(
         search: the search that found it.
         found: the fit of all causes.
         number: index of the cause in the fit.
-        ranking: the candidates for its place, the others being at work.
-        odds_against_fields: log10 odds for its name.
+        ranking: the candidates for its place, with the other causes included.
+        odds_against_fields: log10 odds for its name against fields.
     """
     hypothesis, values = found.explanation.hypotheses[number], found.explanation.values[number]
     cause = hypothesis.cause
@@ -74,7 +74,7 @@ def found_cause(
 
 
 def _degenerate(ranking: CandidateRanking, name: str, least_share: float) -> tuple[DegenerateCause, ...]:
-    """Return the causes that gain nearly as much evidence as the named one does, to first order."""
+    """Return the causes with nearly the same first-order gain in evidence as the named cause."""
     best = {each.hypothesis.cause.name: each for each in sorted(ranking.screened, key=lambda each: each.gain)}
     most = best[name].gain if name in best else 0.0
     return tuple(
@@ -85,7 +85,7 @@ def _degenerate(ranking: CandidateRanking, name: str, least_share: float) -> tup
 
 
 def _ranked(ranking: CandidateRanking) -> tuple[RankedCandidate, ...]:
-    """Return the fitted candidates, then the best of the others by their gain to first order."""
+    """Return the fitted candidates, then the others by their first-order gain."""
     ranked: dict[str, RankedCandidate] = {}
     for fits in (ranking.fits, ranking.rough):
         for each in fits:
@@ -110,17 +110,17 @@ def correlations(found: Fit) -> Correlations:
 
 
 def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) -> tuple[DetectionLimit, ...]:
-    """Return the detection limit of every parameter that the session shows, each cause acting alone.
+    """Return the detection limit of every parameter that the session can show, each cause acting alone.
 
-    The limits of a cause that acts from some moment on are for the middle of the session.
+    The limits of a cause that starts at some time assume the middle of the session.
 
     Args:
-        search: with the subsample that represents all readings.
+        search: search with a subsample that represents all readings.
         found: the fit without causes.
-        causes: to be considered.
+        causes: causes to consider.
     """
     limits = []
-    # A reading of the subsample represents several; a capture represents itself.
+    # A reading of the subsample represents several readings; a capture only itself.
     share = len(search.full.observations) / len(search.subsample.observations)
     scatter = replace(found.scatter, noise=found.scatter.noise / np.sqrt(share))
     times = times_between_captures(search.full.observations.session.plan)
@@ -135,7 +135,7 @@ def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) ->
         alone = fit(search.subsample, start, scatter, 0, vary_scatter=False)
         if alone is None:
             continue
-        # The prior is left out: a limit is by the readings alone.
+        # Remove the prior: a limit depends on the readings alone.
         information = alone.information - np.eye(alone.at.free.size)
         sigma = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)).clip(0.0))
         moment = f" (from {middle:.0f} s on)" if any(is_time) else ""
@@ -148,7 +148,7 @@ def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) ->
 
 
 def rms_of_captures(observations: Observations, residual: FloatArray, rows: BoolArray) -> tuple[IntArray, FloatArray]:
-    """Return how many of some readings (n,) each capture has, and the rms (captures,) of their residuals (n, 2)."""
+    """Return each capture's number of readings in a mask (n,), and their rms residual (captures,)."""
     group, count = observations.group[rows], len(observations.captures)
     readings = np.bincount(group, minlength=count)
     squares = np.bincount(group, np.mean(residual[rows] ** 2, axis=1), count)
@@ -174,12 +174,12 @@ def capture_residuals(
 
 
 def residual_summary(observations: Observations, residual: FloatArray, used: BoolArray) -> ResidualSummary:
-    """Return the root mean squares per axis of a residual in units of sigma, over the readings (n,) that count.
+    """Return the rms per axis of a residual in units of sigma, over the used readings.
 
     Args:
         observations: the readings.
-        residual: (n, 2), or (n, 2, q) of q independent parts, whose squares add.
-        used: (n,) mask of the readings that count.
+        residual: (n, 2) residual, or (n, 2, q) for q independent parts; their squares add.
+        used: (n,) mask of the readings to use.
     """
     parts = residual.reshape(len(observations), 2, -1)
     used = used & np.isfinite(parts).all(axis=(1, 2))
@@ -194,14 +194,14 @@ def residual_summary(observations: Observations, residual: FloatArray, used: Boo
 
 
 def usual_motion(readings: Predictor, found: Fit) -> FloatArray:
-    """Return the change of readings (n, 2, 6), in units of sigma, by a motion of the usual size of their capture."""
+    """Return the change of readings (n, 2, 6), in units of sigma, by a camera motion of the usual size."""
     observations, scatter = readings.observations, found.scatter
     usual = replace(scatter.at_rest(), noise=np.ones_like(scatter.noise))
     return camera_motions(readings) * usual.sizes(observations.part_of_capture)[observations.group][:, None, :]
 
 
 def motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...]:
-    """Return the repeatability of each part, with standard errors by the curvature of the evidence."""
+    """Return the repeatability of each part, with standard errors from the curvature of the evidence."""
     sums = readings.sums_at(found.at)
     errors = scatter_errors(sums, found.scatter)
     return tuple(
@@ -245,7 +245,7 @@ def _is_placed_by_bare(observations: Observations, name: CaptureName) -> bool:
 
 
 def not_excluded(observations: Observations, excluded: Sequence[MovedCapture]) -> BoolArray:
-    """Return the mask (n,) of readings of captures that are not excluded."""
+    """Return a mask (n,) of the readings whose captures are not excluded."""
     names = {each.capture for each in excluded}
     bad = [number for number, name in enumerate(observations.captures) if name in names]
     return ~np.isin(observations.group, bad)

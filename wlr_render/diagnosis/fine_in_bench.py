@@ -1,4 +1,4 @@
-"""Fine effects as a bench states them: cells at a station, and the displacement in each cell."""
+"""Fine effects in the form of bench effects: cells at a station, and the displacement in each cell."""
 
 from dataclasses import replace
 
@@ -16,19 +16,19 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.cells import Cells, cells_of
 
 _ROUNDS = 2  # rounds of cells, each finer than the one before
-_STATED = 0.05  # sigma; cells that move readings by less are not stated
+_STATED = 0.05  # change of a reading, in sigma, below which it is not used for the effect
 _DISPLACES = {"panel": "shift", "camera": "shift", "target": "shift", "combiner": "view"}
 _TO_FILE = {"panel": 1.0, "camera": 1.0, "target": 1.0, "combiner": 1e6}
 UNITS = {"panel": "panel px", "camera": "px", "target": "mm", "combiner": "urad"}
-"""Units of what fine effects displace, by station."""
+"""Units of the displacements by fine effects, by station."""
 
 
 def with_fine(bench: Bench, fine: FineEffect | None, as_stated: Predictor, least_log10_odds: float) -> Bench:
-    """Return a bench with a fine effect and with finer cells of its residual, if they improve captures left out.
+    """Add a fine effect to a bench, and then finer cells of its residual, if they improve held-out captures.
 
     Args:
         bench: the bench.
-        fine: the effect that is found with this bench.
+        fine: the effect found with this bench.
         as_stated: predictor of all readings, with the noise as stated.
         least_log10_odds: see `fine_effect`.
     """
@@ -41,11 +41,11 @@ def with_fine(bench: Bench, fine: FineEffect | None, as_stated: Predictor, least
 
 
 def fine_in_bench(fine: FineEffect, predictor: Predictor) -> tuple[BenchEffect, ...]:
-    """Return the effects of a bench that do the same as a fine effect, one for each part of the session that shows it.
+    """Return the bench effects that do the same as a fine effect, one for each part of the session that shows it.
 
     Args:
         fine: the effect.
-        predictor: of all readings, with the sigma of the effect.
+        predictor: predictor of all readings, with the sigma of the effect.
     """
     part = predictor.observations.part[fine.rows]
     effects = [_of_part(fine, predictor, int(number), part == number) for number in np.unique(part)]
@@ -55,11 +55,11 @@ def fine_in_bench(fine: FineEffect, predictor: Predictor) -> tuple[BenchEffect, 
 def size_of(fine: FineEffect, predictor: Predictor) -> tuple[float, float]:
     """Return the rms displacement by a fine effect over the readings of its part, with its standard error.
 
-    Of a spot, the displacement in its strongest cell. In the unit of its station, see `UNITS`.
+    For a spot, return the displacement in its strongest cell. See `UNITS` for the unit.
 
     Args:
         fine: the effect.
-        predictor: of all readings, with the sigma of the effect.
+        predictor: predictor of all readings, with the sigma of the effect.
     """
     part = PART_NAMES.index(fine.part)
     mine, strength = predictor.observations.part[fine.rows] == part, np.linalg.norm(fine.change, axis=1)
@@ -73,7 +73,7 @@ def size_of(fine: FineEffect, predictor: Predictor) -> tuple[float, float]:
 
 
 def _of_part(fine: FineEffect, predictor: Predictor, part: int, mine: BoolArray) -> BenchEffect | None:
-    """Return the effect that some of the readings (m,) show, which are of one part; None where it moves nothing."""
+    """Return the bench effect from the readings of one part, in a mask (m,); None if it does not move them."""
     mine = mine & (np.linalg.norm(fine.change, axis=1) > _STATED)
     if not mine.any():
         return None
@@ -90,9 +90,9 @@ def _of_part(fine: FineEffect, predictor: Predictor, part: int, mine: BoolArray)
 
 
 def _displacement(station: str, predictor: Predictor, part: int, rows: IntArray, change: FloatArray) -> FloatArray:
-    """Return the displacement (m, components) at a station that changes readings of one part by (m, 2) sigma.
+    """Return the displacement (m, components) at a station that changes readings of one part by `change` (m, 2) sigma.
 
-    Panel and camera in pixels, the target in millimetres, the view in tangents.
+    Units: panel and camera in pixels, the target in millimetres, the view in tangents.
     """
     observations = predictor.observations
     change = change * observations.sigma_px[rows, None]

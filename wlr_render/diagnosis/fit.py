@@ -1,8 +1,8 @@
 """Fit the values of an explanation's causes to the readings of a bench, and the evidence for the explanation.
 
 Readings of a bench have three errors: noise, noise that neighbours share, and a random motion of the camera in each
-capture (`weighed_readings`, `scatter`). Gauss-Newton with Levenberg's damping (D. W. Marquardt, "An Algorithm for
-Least-Squares Estimation of Nonlinear Parameters", SIAM J. 11 (1963) 431) on readings whose errors are made independent.
+capture (`weighed_readings`, `scatter`). The fit is Gauss-Newton with Levenberg's damping (D. W. Marquardt, "An
+Algorithm for Least-Squares Estimation of Nonlinear Parameters", SIAM J. 11 (1963) 431) on whitened readings.
 """
 
 from dataclasses import dataclass, replace
@@ -23,13 +23,13 @@ from wlr_render.numerics.scatter import Known, Scatter, ScatterSums, cost, margi
 from wlr_render.numerics.scatter_search import best_scatter
 
 _ITERATIONS = 12
-_SETTLED = 1e-2  # fall of chi-squared by a step that ends the iteration; steps shrink quadratically
-_ROUGHLY = 0.5  # the same, where fits are only compared
+_SETTLED = 1e-2  # fall of chi-squared in a step below which the iteration ends; convergence is quadratic
+_ROUGHLY = 0.5  # the same for fits that are only compared
 _AS_PROMISED = 0.1  # relative difference from the predicted gain below which derivatives are kept
-_SAME_SCATTER = 0.1  # change of a logarithm below which the values are not fitted again
-_FEWEST = 2  # captures on either side of a moment: a single one is a capture that moved
-_MOST_STEPS = 4  # whole steps from the best multiple that are counted
-_ANY = 1e4  # prior sigmas of a value that may be any number
+_SAME_SCATTER = 0.1  # change of the logarithm of a noise or motion size below which the values are not fitted again
+_FEWEST = 2  # fewest captures on either side of a time: a single one is a capture that moved
+_MOST_STEPS = 4  # largest number of whole steps from the best multiple in the sum
+_ANY = 1e4  # prior standard deviation, in prior sigmas, that leaves a value free
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +39,11 @@ class Fit:
     Attributes:
         at: the linearisation at the solution, in units of sigma.
         scatter: sizes of noise and motions.
-        residual: (n, 2) measured minus predicted with independent errors of unit size.
-        jacobian: (n, 2, p) of the predicted readings by the free parameters in prior sigmas, likewise.
+        residual: (n, 2) whitened residual, measured minus predicted.
+        jacobian: (n, 2, p) whitened Jacobian of the predicted readings by the free parameters in prior sigmas.
         chi_squared: sum of squares of `residual`.
-        information: (p, p) information on the free parameters in prior sigmas, with their priors' information.
-        minus_two_log_evidence: of the readings, up to a constant; lower is better.
+        information: (p, p) information on the free parameters in prior sigmas, including their priors.
+        minus_two_log_evidence: -2 log evidence of the readings, up to a constant; lower is better.
     """
 
     at: Linearisation
@@ -66,24 +66,24 @@ class Fit:
 
     @cached_property
     def owner(self) -> IntArray:
-        """Index (p,) of the cause that each free value belongs to."""
+        """Index (p,) of the cause to which each free value belongs."""
         counts = [len(each) for each in self.explanation.values]
         return np.repeat(np.arange(len(counts)), counts)[self.at.free]
 
     @cached_property
     def effects(self) -> FloatArray:
-        """Free values (p,) in prior sigmas; 0 for parameters that only shape an effect."""
+        """Free values (p,) in prior sigmas; 0 for SHAPE parameters."""
         sizes = np.array([each.role is Role.SIZE for each in self.explanation.parameters()], dtype=bool)
         values = self.explanation.vector() / self.explanation.prior_sigma
         return np.asarray(np.where(sizes, values, 0.0)[self.at.free])
 
     def residual_without(self, number: int) -> FloatArray:
-        """Residual (n, 2) in units of sigma without one of the causes, to first order."""
+        """Return the residual (n, 2), in units of sigma, without one of the causes, to first order."""
         mine = self.owner == number
         return np.asarray(self.at.residual + self.at.jacobian[:, :, mine] @ self.effects[mine])
 
     def sigmas(self) -> FloatArray:
-        """One standard deviation of all parameters, in their units; 0 for fixed parameters."""
+        """Return the standard errors of all parameters, in their units; 0 for fixed parameters."""
         prior_sigma = self.explanation.prior_sigma
         sigma = np.zeros(len(prior_sigma))
         sigma[self.at.free] = np.sqrt(np.diag(self.covariance))
@@ -99,17 +99,17 @@ def fit(
     at: Linearisation | None = None,
     roughly: bool = False,
 ) -> Fit | None:
-    """Fit all causes of an explanation together, from its values on; None where it cannot predict every reading.
+    """Fit all causes of an explanation together from start values; None where these do not predict every reading.
 
     Args:
         readings: the readings to fit.
         start: causes to fit, with their start values.
         scatter: start sizes of noise and motions; the captures that moved stay the same.
-        iterations: Gauss-Newton steps at most.
+        iterations: largest number of Gauss-Newton steps.
         vary_scatter: False if the sizes of noise and motions are known.
-        at: the linearisation at the start, if it is known.
-        roughly: whether to keep derivatives while steps gain as predicted, and always to keep the derivatives of all
-            causes but the last: accurate enough to compare fits.
+        at: the linearisation at the start, if known.
+        roughly: whether to keep derivatives while steps gain as predicted, and to update only the last cause's:
+            accurate enough to compare fits.
     """
     at = at or readings.predictor.linearised(start)
     if not np.isfinite(at.residual).all():
@@ -136,7 +136,7 @@ def _settled(
             break
         explanation, state, gained, promised, damping = step
         as_promised = roughly and abs(gained - promised) < _AS_PROMISED * promised
-        # A shape has no derivative before the effect has a size.
+        # A SHAPE parameter has no derivative while the effect has no size.
         all_known = at.free.size == sum(each.role is not Role.TIME for each in at.explanation.parameters())
         if gained < enough or (as_promised and all_known):
             at = replace(at, explanation=explanation, state=state, residual=predictor.residual_of(state))
@@ -152,7 +152,7 @@ def _settled(
 def _step(
     predictor: Predictor, at: Linearisation, whiten: Whitening, damping: float
 ) -> tuple[Explanation, State, float, float, float] | None:
-    """Return the next step; None where none helps.
+    """Return the next step; None if no step helps.
 
     Returns:
         Explanation and state after the step, the fall of chi-squared, the fall that the derivatives predict, and the
@@ -188,7 +188,7 @@ def _prior_cost(explanation: Explanation) -> float:
 def _evidence(
     readings: WeighedReadings, at: Linearisation, scatter: Scatter, vary: bool
 ) -> tuple[Scatter, float, float]:
-    """Return sizes of noise and motions at a solution, -2 log evidence, and the largest change of their logarithms."""
+    """Return the sizes of noise and motions at a solution, -2 log evidence, and the largest change of a log size."""
     sums = readings.sums_at(at)
     found, least = best_scatter(sums, scatter) if vary else (scatter, cost(sums, scatter))
     least += whole_step_cost(sums, found, at.explanation, at.free)
@@ -197,7 +197,7 @@ def _evidence(
 
 
 def choices(explanation: Explanation, observations: Observations) -> float:
-    """Return the number of combinations of variants and moments from which the causes were chosen."""
+    """Return the number of combinations of variants and times from which the causes were chosen."""
     count = 1.0
     for hypothesis in explanation.hypotheses:
         count *= len(hypothesis.cause.variants)
@@ -207,16 +207,16 @@ def choices(explanation: Explanation, observations: Observations) -> float:
 
 
 def times_between_captures(plan: SessionPlan) -> FloatArray:
-    """Return the times in the middle between captures, ascending, with some captures on either side."""
+    """Return the midpoints between capture times, ascending, with at least `_FEWEST` captures on either side."""
     parts = [part for part in plan.parts if part is not None]
     times = np.unique(np.concatenate([part.time_s for part in parts]))
     return np.asarray(0.5 * (times[1:] + times[:-1]))[_FEWEST - 1 : len(times) - _FEWEST]
 
 
 def whole_step_cost(sums: ScatterSums, scatter: Scatter, explanation: Explanation, free: IntArray) -> float:
-    """Return the change of -2 log evidence where values are multiples of a whole step instead of any number.
+    """Return the change of -2 log evidence for values that must be whole multiples of a step.
 
-    The multiple k has the probability 2^-|k| / 3, and the evidence is the sum over the multiples.
+    The multiple k has prior probability 2^-|k| / 3; the evidence is summed over the multiples.
     """
     steps, values = _whole_steps(explanation, free)
     is_whole = np.isfinite(steps)
@@ -235,7 +235,7 @@ def whole_step_cost(sums: ScatterSums, scatter: Scatter, explanation: Explanatio
 
 
 def _whole_steps(explanation: Explanation, free: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Step of each free value, NaN where it may be any number, and the values, both (p,) in prior sigmas."""
+    """Return the step of each free value (NaN for any number) and the values, both (p,) in prior sigmas."""
     steps = [
         (hypothesis.cause.whole_steps or np.nan) / parameter.prior_sigma
         for hypothesis in explanation.hypotheses
@@ -245,12 +245,12 @@ def _whole_steps(explanation: Explanation, free: IntArray) -> tuple[FloatArray, 
 
 
 def reduced_chi_squared(found: Fit) -> float:
-    """Mean square of the residuals with independent errors per degree of freedom: 1 where only noise is left."""
+    """Return the mean square of the whitened residuals per degree of freedom: 1 where only noise is left."""
     return float(found.chi_squared / max(1, found.residual.size - found.at.free.size))
 
 
 def is_physical(found: Fit, settings: Settings = DEFAULT) -> bool:
-    """Return whether all values are possible: above their minimum, to three standard errors, and of a usual size."""
+    """Return whether all values are above their minimum, within three standard errors, and of a usual size."""
     parameters, values, bench = found.explanation.parameters(), found.explanation.vector(), found.at.state.bench
     pairs = zip(parameters, values, strict=True)
     whole = np.array([value if each.in_bench is None else each.in_bench(bench) for each, value in pairs])
@@ -262,9 +262,9 @@ def is_physical(found: Fit, settings: Settings = DEFAULT) -> bool:
 
 
 def few_captures_factor(found: Fit, observations: Observations) -> float:
-    """Return the factor by which one standard deviation is wider because few captures determine the motions' sizes.
+    """Return the factor by which to widen standard errors because few captures determine the motions' sizes.
 
-    Student's t with the captures that the fit leaves free; 1 at run time, which has no motions.
+    The factor is Student's t for the captures that the fit leaves free; 1 at run time, which has no motions.
     """
     count = len(np.unique(observations.group[observations.part != RUN_TIME]))
     if count == 0:
