@@ -1,4 +1,4 @@
-"""Mapping that was not calibrated, of a headset without a display or see-through session: every use is refused."""
+"""Placeholder for a mapping that was not calibrated, without a display or see-through session: any use is an error."""
 
 from dataclasses import dataclass
 from typing import NoReturn
@@ -28,7 +28,7 @@ class Absent:
 
     @property
     def panel(self) -> Panel:
-        """Panel of the display: refused, because it is unknown."""
+        """Panel of the display: unknown, so that access is an error."""
         self._refuse()
 
     def _answer(self, subject: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None) -> QueryResult:

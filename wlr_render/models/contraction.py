@@ -16,10 +16,10 @@ NEAREST_POINT_M = 0.25
 
 
 def require_unique(contraction: float, kind: str, side: str) -> float:
-    """Refuse a model that may have two solutions; returns the contraction of any other.
+    """Refuse a model that may have two solutions; otherwise return its contraction.
 
     Args:
-        contraction: of the model.
+        contraction: contraction of the model's solve.
         kind: "planar" or another kind.
         side: "display" or "see-through".
 
@@ -50,5 +50,5 @@ def grid_over(box: Box, levels: list[int]) -> FloatArray:
 
 
 def largest_norm(matrices: FloatArray) -> float:
-    """Return the largest spectral norm of matrices (n, 2, 2); 0 for none."""
+    """Return the largest spectral norm of matrices (n, 2, 2); 0 without matrices."""
     return float(np.linalg.norm(matrices, ord=2, axis=(-2, -1)).max(initial=0.0))

@@ -38,7 +38,7 @@ class DisplayModel(FittedDisplay):
     Attributes:
         panel: the panel.
         eye_box: box of valid viewpoints.
-        place: base plane of the fit, or which coordinates of the viewpoint the polynomials depend on.
+        place: base plane of the fit, or the coordinates of the viewpoint that the polynomials depend on.
         forward: (u px, v px, place m) -> (tx, ty).
         backward_start: (place m, tx, ty) -> (u px, v px), where backward queries start.
         spread: covariance of `forward`.

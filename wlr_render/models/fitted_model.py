@@ -43,7 +43,7 @@ class Sensitivity:
 
     Attributes:
         inputs: (m, variables) inputs of the polynomial.
-        by_polynomial: (m, 2, outputs) derivative of the view tangents by its values there.
+        by_polynomial: (m, 2, outputs) derivative of the view tangents by the polynomial's values there.
     """
 
     inputs: FloatArray
@@ -149,7 +149,7 @@ class FittedModel(ABC):
 
     @property
     def modelled(self) -> Polynomial:
-        """The polynomial that is the model; others start solves."""
+        """The polynomial that defines the model; other polynomials only start solves."""
         modelled: Polynomial = getattr(self, self.MODELLED)
         return modelled
 
@@ -159,7 +159,7 @@ class FittedModel(ABC):
 
     def with_spread(self, spread: Covariance) -> Self:
         """Return the same model with another covariance."""
-        model: Any = self  # a dataclass, as every subclass is
+        model: Any = self  # every subclass is a dataclass
         changed: Self = replace(model, spread=spread)
         return changed
 

@@ -1,7 +1,7 @@
-"""Solves that all fitted models share, and where a backward solve starts.
+"""Solvers shared by all fitted models, and the start values of backward solves.
 
-The forward polynomials are the model. A backward query is their inverse, found by Newton's method, so that forward and
-backward agree to the tolerance of the solve. Only its start is fitted or sampled.
+The forward polynomials are the model. A backward query inverts them by Newton's method, so that forward and backward
+agree to the tolerance of the solve. Only the start values are fitted or sampled.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ _LEVELS = 7, 4  # samples per pixel axis and per axis of the place
 def solve_warm_then_cold(residual: Residual, start: FloatArray | None, cold: FloatArray, rounding: float = 0.0) -> Root:
     """Solve from `start` (n, 2), and once more from `cold` (n, 2) where that fails; None starts cold.
 
-    The residual may be as large as its `rounding`.
+    A residual of up to its `rounding` counts as solved.
     """
     tolerance = max(TOLERANCE, rounding)
     if start is None:

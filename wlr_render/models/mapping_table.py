@@ -7,15 +7,15 @@ terms of `values` (one per output) times the product over inputs of Chebyshev T_
 A spread {apart, joint, shared, sources} is the covariance of the values of the mapping's first polynomial (`forward`,
 `deviation` or `point`) as two tables of factors, either of which may be absent:
 
-    {orders (absent if they are the polynomial's), unit, values}
+    {orders (absent if equal to the polynomial's), unit, values}
 
 Factor c at given inputs is unit[c] times the sum over terms of values[term][c] times the term's product of T_k, with
 `low` and `high` of the polynomial; `values` are whole numbers of up to five digits. The polynomial has m outputs, x and
 y in turn. `joint` has m r factors: number o r + j is the change of output o by random variable j. `apart` has m r / 2:
 number b r + j is the change of outputs 2 b and 2 b + 1, by random variables j of the x and of the y axis. All variables
-are independent and standard normal, and the first `shared` of `joint` are the same ones in the eye's display and
-see-through. `sources` names the source of error of each of them. The
-covariance of outputs o and p is therefore
+are independent and standard normal, and the eye's display and see-through have the first `shared` variables of
+`joint` in common. `sources` names the source of error of each shared variable. The covariance of outputs o and p is
+therefore
 
     C[o][p] = sum_j joint[o r + j] joint[p r + j]  +  sum_j apart[b r + j] apart[c r + j] if o - p is even
 
@@ -28,8 +28,8 @@ outputs, and V = S C S', its square is, in radians squared,
 
 S is the unit matrix for a static or volumetric display. The base-plane point p~ of a planar display moves with t, so
 that S = (1 - F D)^-1, where F is the derivative of `forward` by p~ and D the derivative of p~ by t: d times the unit
-matrix for a plane without slope that lies d metres in front of the viewpoint. Of a see-through, S = -(dG/dt)^-1 (1, 1 /
-Z), where G(t) = 0 is the equation that the class solves for a point at depth Z; e.g. G = t + A + B / Z - (P - p~) / Z
+matrix for a plane without slope that lies d metres in front of the viewpoint. For a see-through, S = -(dG/dt)^-1 (1, 1
+/ Z), where G(t) = 0 is the equation that the class solves for a point at depth Z; e.g. G = t + A + B / Z - (P - p~) / Z
 if planar.
 """
 
@@ -75,7 +75,7 @@ def mapping_record(mapping: object) -> dict[str, Any]:
     """Return the JSON object of a mapping, which `read_display` or `read_see_through` reads.
 
     Raises:
-        BadInputError: the mapping is not of a kind that is written.
+        BadInputError: mappings of this kind cannot be written.
     """
     if not isinstance(mapping, PointPerPixelDisplay | DisplayModel | SeeThroughModel):
         kinds = ", ".join([*_PLACES, _POINTS])
@@ -103,7 +103,7 @@ def _spread_record(spread: Covariance, polynomial: Polynomial) -> dict[str, Any]
 
 
 def _factors_record(factors: Polynomial, polynomial: Polynomial) -> dict[str, Any]:
-    """Return the factors as whole numbers, each factor in a power of ten that gives its largest `_DIGITS` digits."""
+    """Return the factors as whole numbers in units of powers of ten; the largest value of each has `_DIGITS` digits."""
     if not (
         np.array_equal(factors.box.low, polynomial.box.low) and np.array_equal(factors.box.high, polynomial.box.high)
     ):
@@ -160,7 +160,7 @@ def _place(table: Table, kind: str) -> ModelPlace:
 
 
 def _checked(table: Table, model: _Model, parts: Mapping[str, Polynomial], panel: Panel | None = None) -> _Model:
-    """Return a model of plausible polynomials, the first of which has the spread, with its spread."""
+    """Check that the polynomials are plausible; return the model with the spread of the first, if the table has one."""
     require_plausible_values(table, parts, panel)
     if table.has("spread"):
         model = model.with_spread(_spread(table.table("spread"), next(iter(parts.values()))))
@@ -183,7 +183,7 @@ def _spread(table: Table, polynomial: Polynomial) -> Covariance:
 
 
 def _factors(parent: Table, name: str, polynomial: Polynomial, outputs: int) -> Polynomial:
-    """Read the factors of a spread, `outputs` of each variable."""
+    """Read the factors of a spread, `outputs` per variable."""
     orders, box = polynomial.orders, polynomial.box
     if not parent.has(name):
         return Polynomial(orders, box, np.zeros((len(orders), 0)))

@@ -4,7 +4,7 @@
     units              {length "m", direction "tangent", pixel "px"}
     eyes               one or two of
         eye            "left" or "right"
-        name           of the model
+         name           name of the model
         eye_box        {centre_m, size_m}
         display        {kind, panel {width_px, height_px}, base_plane {z_m, slope} (planar only), its polynomials, and
                        spread if the model has one}
@@ -109,7 +109,7 @@ def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, .
     """Add models to a file, keeping its models of other eyes of the same device; returns the eyes that were kept.
 
     Raises:
-        BadInputError: as `save_eye_models`, or as `load_eye_models` for a file that is there.
+        BadInputError: as `save_eye_models`, or as `load_eye_models` for an existing file.
     """
     new = {model.mappings.eye for model in models}
     present = load_eye_models(path) if Path(path).exists() else {}
@@ -119,7 +119,7 @@ def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, .
 
 
 def remove_eye_models(path: str | Path, eyes: Sequence[str]) -> None:
-    """Remove the models of some eyes from a file; the file goes with its last model."""
+    """Remove the models of some eyes from a file; delete the file with its last model."""
     kept = [model for eye, model in load_eye_models(path).items() if eye not in eyes] if Path(path).exists() else []
     if kept:
         save_eye_models(path, kept)

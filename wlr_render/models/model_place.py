@@ -1,7 +1,7 @@
 """Place of a model: the coordinates of a viewpoint on which its polynomials depend.
 
 A planar model depends on where the ray crosses its base plane, (x, y); a volumetric one on the viewpoint, (x, y, z); a
-static one on nothing. `BasePlane` is the first of these places, `OwnPlace` the others; both have the same methods.
+static one on nothing. `BasePlane` represents the planar place, `OwnPlace` the others; both have the same methods.
 """
 
 from dataclasses import dataclass

@@ -23,7 +23,7 @@ class MovedPanelDisplay:
     Attributes:
         still: the mapping with the panel where it was calibrated.
         shift_px: (2,) pixel u is now where pixel u + shift_px was at calibration.
-        growth: relative growth.
+        growth: relative growth of the panel.
     """
 
     still: DisplayMapping
@@ -38,7 +38,7 @@ class MovedPanelDisplay:
     @property
     def eye_box(self) -> EyeBox:
         """The eye box; see `PlanarModel`."""
-        return self.still.eye_box  # type: ignore[attr-defined, no-any-return]  # absent where it is absent there
+        return self.still.eye_box  # type: ignore[attr-defined, no-any-return]  # missing if `still` has none
 
     @property
     def place(self) -> object:
@@ -70,6 +70,6 @@ class MovedPanelDisplay:
         return replace(still, value=self._back(still.value))
 
     def _back(self, pixel: FloatArray) -> FloatArray:
-        """Return the pixels (..., 2) of today, from their positions at calibration."""
+        """Return the present pixels (..., 2) of pixels (..., 2) at calibration."""
         middle = 0.5 * self.panel.size_px
         return np.asarray(middle + (pixel - middle - self.shift_px) / (1.0 + self.growth))

@@ -11,11 +11,11 @@ from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.polynomial import Box, Polynomial, basis
 
 _FAR_M = 1.0  # largest distance of an eye box from the headset's origin
-_STEEPEST = 100.0  # tangent or deviation: 89.4 degrees
+_STEEPEST = 100.0  # largest tangent or deviation: 89.4 degrees
 _FARTHEST_PX = 1e6  # largest coordinate of a start pixel
 _BESIDE = 0.5  # largest distance of pixels outside the panel, in panel sizes
-_LEAST_SHARE = 0.1  # least share of a panel on each axis
-_NARROWEST = 1e-3  # range of a display's tangents: 3 arcminutes
+_LEAST_SHARE = 0.1  # smallest share of a panel on each axis
+_NARROWEST = 1e-3  # smallest range of a display's tangents: 3 arcminutes
 # Points in the middle of a box (its corners may have no data): multiples of the powers of a root of g^6 = g + 1.
 _INSIDE = 0.1 + 0.8 * np.mod(0.5 + np.arange(32)[:, None] * 1.1347241384015194 ** -np.arange(1.0, 6.0), 1.0)
 
@@ -33,8 +33,8 @@ def require_plausible_values(table: Table, polynomials: Mapping[str, Polynomial]
 
     Args:
         table: the mapping, for messages.
-        polynomials: of the mapping, by name.
-        panel: of a display, whose first polynomial must cover it with pixels.
+        polynomials: polynomials of the mapping, by name.
+        panel: panel of a display, whose first polynomial must cover it with pixels.
     """
     display = next(iter(polynomials)) if panel else ""
     for name, part in polynomials.items():
