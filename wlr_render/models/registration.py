@@ -1,4 +1,4 @@
-"""Covariance of the registration error of an eye: direction of a pixel less direction of a real point."""
+"""Covariance of the registration error of an eye: direction of a pixel minus direction of a real point."""
 
 from collections.abc import Sequence
 
@@ -97,6 +97,6 @@ def _check_one_fit(of_display: tuple[str, ...], of_see_through: tuple[str, ...])
 
 
 def _from(difference: FloatArray, sources: Sequence[str], name: str) -> FloatArray:
-    """Return the covariance (..., 2, 2) by the variables of one source, of changes (..., 2, k)."""
+    """Return the covariance (..., 2, 2) of changes (..., 2, k) from the variables of one source."""
     changes = difference[..., [source == name for source in sources]]
     return np.asarray(changes @ np.swapaxes(changes, -1, -2))

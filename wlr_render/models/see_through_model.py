@@ -1,12 +1,12 @@
 """See-through model: deviation from the straight ray as a function of the viewpoint's place and the view direction.
 
-At the place c and the view tangents t, the ray in the world passes through c + B(c, t) and has tangents t + A(c, t); no
-optics is A = B = 0. The place of a planar model is the point p~ of the base plane where the ray of t crosses it, that
-of the others the viewpoint. B is an offset at constant z, on a tilted plane too, so that a point P seen along t gives
-(P_xy - c_xy) / Z - t = A + B / Z with Z = c_z - P_z: linear in A and B. In terms of the paper's two planes P_real+ and
-P_real- at depths Z+ and Z- in front of an untilted base plane, its p_real+- are p~ + Z+- t + (B + Z+- A): the same two
-unknown 2-vectors, so both parametrisations span the same models for fronto-parallel planes (section 3.4). This one does
-not need the real points to lie in two such planes.
+At the place c and the view tangents t, the ray in the world passes through c + B(c, t) and has tangents t + A(c, t);
+without optics, A = B = 0. The place of a planar model is the point p~ of the base plane where the ray of t crosses it;
+for other models it is the viewpoint. B is an offset at constant z, on a tilted plane too, so that a point P seen along
+t gives (P_xy - c_xy) / Z - t = A + B / Z with Z = c_z - P_z: linear in A and B. In terms of the paper's two planes
+P_real+ and P_real- at depths Z+ and Z- in front of an untilted base plane, its p_real+- are p~ + Z+- t + (B + Z+- A):
+the same two unknown 2-vectors, so both parametrisations span the same models for fronto-parallel planes (section 3.4).
+Here the real points need not lie in two such planes.
 
 The forward query is in closed form. The unknowns of the backward query are the view tangents at the viewpoint, so that
 the solve does not degenerate for a viewpoint in the plane.
@@ -39,7 +39,7 @@ class SeeThroughModel(FittedSeeThrough):
 
     Attributes:
         eye_box: box of valid viewpoints; it affects the status only.
-        place: base plane of the fit, or which coordinates of the viewpoint the polynomial depends on.
+        place: base plane of the fit, or the coordinates of the viewpoint that the polynomial depends on.
         deviation: (place m, tx, ty) -> (Ax, Ay, Bx m, By m).
         spread: covariance of `deviation`.
     """

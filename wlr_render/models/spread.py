@@ -4,7 +4,7 @@
 
 a_k and j are independent and standard normal. The uncertainty that noise causes is the same for both axes, so that
 `apart` serves both; errors that captures share, such as the camera's motions, couple the axes and are in `joint`. The
-first of j, one for each of `sources`, are the same variables in the display and the see-through model of an eye.
+first variables of j, one for each of `sources`, are common to the display and see-through models of an eye.
 """
 
 from dataclasses import dataclass
