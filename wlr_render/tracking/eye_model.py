@@ -1,4 +1,4 @@
-"""Position of the entrance pupil for a gaze direction, and for view directions beside the gaze."""
+"""Position of the entrance pupil for a gaze direction, and for view directions off the gaze."""
 
 from dataclasses import dataclass
 
@@ -14,9 +14,9 @@ The eye turns about a point 14.8 mm behind the cornea when it turns sideways (Fr
 up or down (Fry & Hill 1963), 13.5 mm in the mean; the entrance pupil lies 3.05 mm behind the cornea (Gullstrand's
 relaxed eye)."""
 
-# Cornea as one sphere, whose image of the iris lies 3.05 mm behind it: radius 7.8 mm and iris 3.6 mm behind it
-# (Millodot, Dictionary of Optometry and Visual Science, optical constants of an average eye); 1.3375 is the index by
-# which keratometers convert radii to powers.
+# Cornea as one sphere, with the iris 3.6 mm and its image 3.05 mm behind it: radius 7.8 mm and iris from Millodot,
+# Dictionary of Optometry and Visual Science, optical constants of an average eye; 1.3375 is the index with which
+# keratometers convert radii to powers.
 _CORNEA_M, _IRIS_M, _INDEX = 7.8e-3, 3.6e-3, 1.3375
 _IRIS_FROM_CENTRE_M = _CORNEA_M - _IRIS_M
 _PUPIL_FROM_CENTRE_M = _CORNEA_M - 1.0 / (_INDEX / _IRIS_M - (_INDEX - 1.0) / _CORNEA_M)
@@ -25,15 +25,15 @@ _MOST_ANGLE = np.deg2rad(90.0)
 
 
 def entrance_pupil_shift(gaze_dir: FloatArray, view_dir: FloatArray) -> FloatArray:
-    """Return the shifts (..., 3) of the entrance pupil for view directions beside the gaze, metres.
+    """Return the shifts (..., 3) of the entrance pupil for view directions off the gaze, metres.
 
-    The cornea refracts oblique rays more than its power says: light from a direction beside the gaze passes through the
+    The cornea refracts oblique rays more than its power implies: light from a direction off the gaze passes through the
     middle of the iris if it aims at a point in front of the entrance pupil. The shift is perpendicular to the view
     direction: 0.009 mm at 20 degrees, 0.07 mm at 40. By the reversal of rays, a camera sees the entrance pupil with the
     shift for the direction towards the camera.
 
     A ray that leaves the middle of the iris at the angle u to the axis passes the cornea's centre at n b sin u, with
-    the index n and the distance b of iris and centre, and leaves the eye at u - asin(b sin u / R) + asin(n b sin u /
+    the index n and the distance b from iris to centre, and leaves the eye at u - asin(b sin u / R) + asin(n b sin u /
     R). Newton's method solves this for u.
 
     Args:

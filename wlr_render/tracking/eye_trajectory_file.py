@@ -54,7 +54,7 @@ _ROLES = {
     r"eye": "eye",
     r"(?:(?:entrance_)?(?:pupil|viewpoint)_?)?([xyz])": r"\1",
 }
-"""Names of columns without units, in small letters."""
+"""Patterns of column names without units, in lower case, and their roles."""
 _WANTED = f"""start it with the lines '# format: {EYE_FORMAT}', '# kind: viewpoint', '# frame: {EYE_FRAME}' and \
 '# units: s m', or name its columns in the first line, such as time_s,left_x_mm,left_y_mm,left_z_mm"""
 

@@ -41,7 +41,7 @@ _ROLES = {
     rf"(?:.*[._ /])?(?:{_POSITION})(?:_[a-z]+_[a-z]+)?[._ ]?([xyz])"
     "|(?:(?:head|headset|hmd|device|camera|cam|pose)[._ ])?([xyz])": r"\1\2",
 }
-"""Names of columns without units, in small letters."""
+"""Patterns of column names without units, in lower case, and their roles."""
 _NEEDED = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 

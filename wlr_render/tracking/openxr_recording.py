@@ -1,13 +1,13 @@
 """Recordings of located OpenXR spaces: head, eyes and gaze. Errors name the file and the line.
 
-OpenXR defines no file for poses. This one is JSON Lines, one `xrLocateSpace` or `xrLocateViews` result a line, with the
-names of OpenXR's structures; the first line is a header:
+OpenXR defines no file for poses. This one is JSON Lines, one result of `xrLocateSpace` or `xrLocateViews` per line,
+with the names of OpenXR's structures; the first line is a header:
 
     {"format": "wlr-openxr-recording", "version": 1}
     {"time": 1000000000, "space": "view", "base_space": "local", "locationFlags": 15,
      "pose": {"orientation": {"x": 0, "y": 0, "z": 0, "w": 1}, "position": {"x": 0, "y": 0, "z": 0}}}
 
-`time` is XrTime in nanoseconds. The poses of `view` are the head's, in `local`, `stage` or `local_floor`. Located in
+`time` is XrTime in nanoseconds. The poses of `view` are the head's, in `local`, `stage` or `local_floor`. Relative to
 `view` are `left_view` and `right_view` (views of xrLocateViews), `gaze` (XR_EXT_eye_gaze_interaction), `left_gaze` and
 `right_gaze` (XR_FB_eye_tracking_social), `left_pupil` and `right_pupil` (XR_ANDROID_eye_tracking). Lines of other
 spaces are skipped. Lines without valid position and orientation mark a gap. OpenXR and this package use the same axes
@@ -81,11 +81,11 @@ def read_openxr_head(path: str | Path) -> HeadTrajectory:
 
 
 def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
-    """Read the eye trajectories of a recording, from the best that it holds of each eye.
+    """Read the eye trajectories of a recording, from the best data that it holds for each eye.
 
-    These are the positions of the pupil; or the gaze of this eye, or else of both, towards which the eye turns about
-    the point behind its view's position (`RotatingEye`); or that position, the entrance pupil of an eye that looks
-    ahead. The gaze of both eyes meets 1 m along it.
+    In order of preference: the positions of the pupil; the gaze of the eye, or of both eyes, with a `RotatingEye`
+    centred behind its view's position; or that position, as the entrance pupil of an eye that looks ahead. Both eyes
+    fixate a point 1 m along their common gaze.
 
     Raises:
         BadInputError: as `read_openxr_head`, or no positions of the views or pupils.

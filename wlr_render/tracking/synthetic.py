@@ -22,7 +22,7 @@ def head_motion(seed: int, duration_s: float = 10.0, rate_hz: float = 90.0) -> H
 
     Args:
         seed: seed of the random phases.
-        duration_s: from time 0.
+        duration_s: duration from time 0.
         rate_hz: samples per second.
     """
     rng = np.random.default_rng(seed)
@@ -44,7 +44,7 @@ def eye_motion(
     Args:
         viewpoints_in_device: entrance pupil of each eye when it looks straight ahead, (3,) metres.
         seed: seed of the fixations.
-        duration_s: from time 0.
+        duration_s: duration from time 0.
         rate_hz: samples per second.
     """
     rng = np.random.default_rng(seed)

@@ -14,8 +14,8 @@ from wlr_render.io.input_files import LIMITS, read_text, require_length, shown
 from wlr_render.numerics.arrays import FloatArray
 
 UNIT_TOLERANCE = 1e-3
-"""How far a printed quaternion or direction may be from unit length; beyond it, the numbers are something else."""
-_SLOWEST_S = 4.0  # longest plausible interval of rows
+"""Largest deviation of a printed quaternion or direction from unit length; beyond it, the numbers mean other things."""
+_SLOWEST_S = 4.0  # longest plausible interval between rows
 _FASTEST_M_S = 30.0
 _SAME_TIME_S = 1.0  # largest difference of two columns with the same time; one may be cut to whole seconds
 
@@ -26,7 +26,7 @@ class Row:
 
     Attributes:
         path: the file.
-        line: counted from 1.
+        line: line number, from 1.
         fields: its cells.
     """
 
@@ -108,7 +108,7 @@ class TextTable:
         header: cells of a first line that names the columns; None without one.
         headers: cells of each of the last comments before the rows, last one first; all words of a comment that has
             another number of cells than the rows.
-        separated: whether the first row is separated by something else than blanks.
+        separated: whether the first row has separators other than blanks.
     """
 
     path: Path
@@ -129,16 +129,16 @@ class TextTable:
         )
 
     def columns(self, roles: Mapping[str, str], needed: Sequence[str]) -> dict[str, NamedColumn] | None:
-        """Find the columns that a header names, by role; None if no header names any, or a comment less than half.
+        """Find the columns that a header names, by role; None if no header names any, or comments name less than half.
 
         Args:
             roles: pattern of a role's name without its unit -> role; it may refer to groups of the pattern.
             needed: roles that a header must name.
 
         Raises:
-            BadInputError: the header lacks a role, names one twice, or states an unknown unit; or a comment does not
-                name the columns of the rows and lists the parts of the quaternion in another order than TUM or, in a
-                table with separators, EuRoC.
+            BadInputError: the header lacks a role, names one twice, or states an unknown unit; or a comment that
+            does not name the columns lists the parts of the quaternion in another order than TUM's or, in a table
+            with separators, EuRoC's.
         """
         for cells in self._names(roles):
             by_role, twice = self._by_role(cells, roles)
@@ -189,7 +189,7 @@ class TextTable:
         return named
 
     def _by_role(self, cells: Sequence[str], roles: Mapping[str, str]) -> tuple[dict[str, NamedColumn], str]:
-        """Assign columns to roles, the better of two times; returns a sentence about two columns of one role, too."""
+        """Assign columns to roles, keeping the better of two times; also return a sentence on a doubled role."""
         by_role: dict[str, NamedColumn] = {}
         twice = ""
         for index, name in enumerate(cells):
@@ -260,7 +260,7 @@ def role_of(name: str, roles: Mapping[str, str]) -> str:
     return ""
 
 
-_MOST_COMMENTS = 100  # last comments before the rows that are searched for the names of columns
+_MOST_COMMENTS = 100  # number of comments before the rows that are searched for column names
 
 
 def read_text_table(path: str | Path, kind: str = "a trajectory") -> TextTable:

@@ -161,7 +161,7 @@ class EyeTrajectory:
     """Trajectories of one or both eyes.
 
     Attributes:
-        tracks: by eye, "left" or "right".
+        tracks: track of each eye, by "left" or "right".
         name: for messages, e.g. the file.
         unread: columns of the file that are not read.
     """

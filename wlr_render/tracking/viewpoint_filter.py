@@ -37,13 +37,13 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.minimum_jerk import minimum_jerk
 
 BLINK_GAP_S = 0.075
-"""After a gap longer than this (Kret & Sjak-Shie 2019) the first samples may be dragged by a lid."""
+"""Length of a gap (Kret & Sjak-Shie 2019) after which the lid may bias the first samples."""
 
 LID_S = 0.05
-"""How long before and after a blink the lid may drag the samples."""
+"""Time before and after a blink in which the lid may bias the samples."""
 
 MEMORY_S = 0.05
-"""Length of the window whose median is the trusted viewpoint: a part of one fixation, which lasts 200 ms and longer."""
+"""Length of the window whose median is the trusted viewpoint: part of one fixation, which lasts 200 ms or longer."""
 
 _Point = tuple[float, float, float]
 
@@ -147,7 +147,7 @@ class ViewpointFilter:
         """Process one sample, or a missing one, and return the viewpoint for the frame.
 
         Args:
-            time_s: not before the last update's.
+            time_s: time of the update, not before the last one.
             viewpoint_in_device: (3,) metres; None or not finite if the tracker has no sample.
             confidence: the tracker's confidence, if it states one.
 
