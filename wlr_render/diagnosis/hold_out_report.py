@@ -1,7 +1,7 @@
 """Cross-validation of a diagnosis: the causes found predict captures and target distances that were left out.
 
-The causes and their variants stay as the diagnosis found them; their values are fitted again to all that is not left
-out.
+The causes and their variants stay as the diagnosis found them; their values are fitted again to the remaining
+readings.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,13 +22,13 @@ from wlr_render.report.blocks import Report, ReportTable, Section, table
 
 @dataclass(frozen=True)
 class HeldOutResidual:
-    """Readings that were held out of a fit, and rms angles of their residual in arcminutes, both axes together.
+    """RMS residual of readings that were held out of a fit, in arcminutes, both axes together.
 
     Attributes:
-        fitted_to, tested_on: words for the readings of the fit and for these.
-        readings: how many.
-        before, after: measured minus simulated, by the bench as described and as corrected.
-        noise: expected of the noise alone.
+        fitted_to, tested_on: names of the fitted and of the held-out readings.
+        readings: number of held-out readings.
+        before, after: measured minus simulated, with the bench as described and as corrected.
+        noise: expected from the noise alone.
     """
 
     fitted_to: str
@@ -40,7 +40,7 @@ class HeldOutResidual:
 
 
 def with_held_out(report: Report, found: DiagnosisRecord) -> Report:
-    """Add the predictions of left-out captures and distances to a report."""
+    """Add the predictions of held-out captures and distances to a report."""
     if not found.causes:
         nothing = (
             "No cause was found, so nothing is held out; to test a bench model on other captures, use wlr-render "
@@ -55,7 +55,7 @@ def with_held_out(report: Report, found: DiagnosisRecord) -> Report:
 
 
 def _residuals(diagnosis: DiagnosisRecord) -> list[HeldOutResidual]:
-    """Return the residuals of each capture by the fit to all others, then of target distances held out or alone."""
+    """Return the residuals of each capture with the fit to all others, then the residuals of the splits by distance."""
     readings, predictor = diagnosis.readings, diagnosis.readings.predictor
     observations, before = readings.observations, predictor.residual(Explanation())
     counted = not_excluded(observations, diagnosis.excluded)
@@ -79,7 +79,7 @@ def _residuals(diagnosis: DiagnosisRecord) -> list[HeldOutResidual]:
 
 
 def _splits(at_distance: dict[str, BoolArray], counted: BoolArray) -> Iterator[tuple[tuple[str, str], BoolArray]]:
-    """Yield words for the target distances fitted to and tested on, and the mask (n,) of readings to test."""
+    """Yield names for the target distances to fit and to test, and the mask (n,) of the readings to test."""
     distance = {name: rows & counted for name, rows in at_distance.items() if np.any(rows & counted)}
     if len(distance) < 2:
         return
@@ -91,7 +91,7 @@ def _splits(at_distance: dict[str, BoolArray], counted: BoolArray) -> Iterator[t
 
 
 def _sentences(residuals: Sequence[HeldOutResidual]) -> Iterator[str]:
-    """Yield, for each kind of fit, a sentence on the readings whose residual exceeds the noise most."""
+    """Yield one sentence per kind of fit, on the readings with the largest ratio of residual to noise."""
     for fitted_to in dict.fromkeys(each.fitted_to for each in residuals):
         alike = (each for each in residuals if each.fitted_to == fitted_to)
         worst = max(alike, key=lambda each: each.after / each.noise)
@@ -102,7 +102,7 @@ def _sentences(residuals: Sequence[HeldOutResidual]) -> Iterator[str]:
 
 
 def _table(diagnosis: DiagnosisRecord, residuals: Sequence[HeldOutResidual]) -> ReportTable:
-    """Return the residuals of held-out readings by the bench as described and as corrected."""
+    """Return the table of the residuals of held-out readings, with the bench as described and as corrected."""
     acting = "; ".join(f"{cause.name}, {cause.variant}" for cause in diagnosis.causes)
     captures = ", ".join(str(moved.capture) for moved in diagnosis.excluded) or "no capture"
     single = np.sum(not_excluded(diagnosis.observations, diagnosis.excluded) & ~diagnosis.used)
@@ -125,7 +125,7 @@ def _table(diagnosis: DiagnosisRecord, residuals: Sequence[HeldOutResidual]) -> 
 
 
 def _values(diagnosis: DiagnosisRecord) -> ReportTable:
-    """Return the values found, with the standard errors of the fit and of leaving out each capture in turn."""
+    """Return the table of fitted values, with the standard errors of the fit and of the jackknife over captures."""
     fitted = diagnosis.fit
     causes = [hypothesis.cause for hypothesis in fitted.explanation.hypotheses]
     names = [(cause.name, parameter.name) for cause in causes for parameter in cause.parameters]

@@ -1,9 +1,9 @@
 """Improvement in use: models refitted with the corrected bench, and the picture rendered with them.
 
-How much closer the simulation comes to the measurement is in `diagnosis.Diagnosis.before` and `after`; for run-time
-sessions that is the misalignment already. Causes in the station (camera, stage, target, tracking) spoil the captures
-that a calibration is given, so its models improve. Causes in the device are absorbed by a black-box fit, whatever the
-prescription says: there the picture that is rendered with the prescription improves.
+`diagnosis.Diagnosis.before` and `after` compare the simulation with the measurement; for run-time sessions they are
+the misalignment itself. Causes in the station (camera, stage, target, tracking) spoil the captures for a calibration,
+so correcting them improves its models. Causes in the device are absorbed by a black-box fit, whatever the prescription
+says: correcting them improves the picture that is rendered with the prescription.
 """
 
 from collections.abc import Callable
@@ -29,8 +29,8 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
-_ROWS = 6_000  # most rows of a fit; five times more lower its error by a twentieth and take three times as long
-_HELD_OUT = 4  # photographs for each one that is left out
+_ROWS = 6_000  # most rows of a fit; five times as many lower its error by a twentieth and take three times as long
+_HELD_OUT = 4  # one photograph in this many is held out
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Refitted:
     """A model refitted to the captures as the nominal and as the corrected bench describe them.
 
     Attributes:
-        before, after: rms error in arcminutes on held-out captures, placed where the corrected bench says they were.
+        before, after: rms error in arcminutes on held-out captures, placed by the corrected bench.
         improvement: of `after` over `before`.
     """
 
@@ -53,7 +53,7 @@ def _refit(
     """Fit one side of the headset to its captures as the nominal and as the corrected bench describe them.
 
     Returns:
-        The model by each bench, and their errors.
+        The model fitted with each bench, and the errors of both.
 
     Raises:
         BadInputError: the captures do not determine a model.
@@ -84,9 +84,9 @@ def _same(before: AnyCaptures, after: AnyCaptures) -> bool:
 
 
 DISTANCES_M = (0.5, 1.0, 2.0)
-"""Distances of the real points that the picture is rendered onto, in front of the eye."""
+"""Distances from the eye of the real points onto which the picture is rendered."""
 
-_VIEWPOINTS, _PIXELS = 20, (8, 8)  # samples of the rendered picture
+_VIEWPOINTS, _PIXELS = 20, (8, 8)  # number of viewpoints, and grid of panel pixels, sampled of the rendered picture
 _GREEN = 1
 
 
@@ -95,7 +95,7 @@ class Rendered:
     """Misalignment in arcminutes of virtual points rendered onto real ones, at the same points before and after.
 
     Attributes:
-        before, after: as the nominal and as the corrected bench would have it rendered.
+        before, after: picture rendered with the nominal and with the corrected bench.
     """
 
     before: Summary
@@ -109,8 +109,8 @@ class ImprovementInUse:
     Attributes:
         display, see_through: refitted models on held-out captures.
         calibrated: the picture rendered with refitted models, as the corrected device shows it.
-        prescribed: the picture rendered with the device's prescription, as the models that were refitted by the
-            corrected bench show it: the judge is measured, not simulated.
+        prescribed: the picture rendered with the device's prescription, as the models refitted with the corrected
+            bench show it: these models come from measurements, not from simulation.
         unavailable: a sentence on each part that could not be refitted.
     """
 
@@ -125,9 +125,9 @@ def improvement_in_use(nominal: Bench, corrected: Bench, session: Session) -> Im
     """Compare models and pictures made with two benches.
 
     Args:
-        nominal: the bench as its makers believe it to be.
+        nominal: the bench as described.
         corrected: the bench with the causes found.
-        session: without excluded captures.
+        session: session without excluded captures.
     """
     plan, readings, unavailable = session.plan, session.readings, list[str]()
 
@@ -166,13 +166,13 @@ def _eye(bench: Bench, display: DisplayMapping, see_through: SeeThroughMapping) 
 
 
 def _traced(bench: Bench) -> Eye:
-    """Return the device as the captures saw it: its panel in green, the world in the targets' light."""
+    """Return the device at the wavelengths of the captures: its panel in green, the world in the targets' light."""
     display = TracedDisplay(bench.optics, bench.wavelengths_um[_GREEN])
     return _eye(bench, display, TracedSeeThrough(bench.optics, bench.target_wavelength_um))
 
 
 def _places(truth: Eye, model: Eye) -> tuple[FloatArray, FloatArray]:
-    """Return viewpoints (n, 3) in the eye box and real points (n, 3) on the panel's field, inside the model's fit."""
+    """Return viewpoints (n, 3) in the eye box, and real points (n, 3) within the panel's field and the model's fit."""
     rng = np.random.default_rng(0)
     eyes = random_in_eye_box(truth.eye_box, _VIEWPOINTS, rng)[:, None, None]
     shown = mapping_error.observations_of_pixels(truth.display, eyes, truth.display.panel.grid(*_PIXELS)[None])

@@ -14,7 +14,7 @@ from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.settings import BEYOND_DOUBT
 from wlr_render.numerics.scatter import Scatter
 
-_ROUNDS = 2  # searches for causes in addition to located effects
+_ROUNDS = 2  # number of searches for causes in addition to located effects
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,12 +22,12 @@ class Located:
     """Causes with better evidence than any field, and the effects located in addition to them.
 
     Attributes:
-        search: with the effects at work.
+        search: the search with the effects included.
         found: the fit of the causes to all readings.
         contest: contest of the fields with these causes, on a subsample.
-        effects: smooth located effects.
+        effects: the smooth located effects.
         tried: all fields that were judged.
-        dropped: a sentence on each cause that a field explains as well.
+        dropped: a sentence on each cause that was dropped because a field explains the same.
         odds: log10 odds for the name of each cause of the fit against the fields.
     """
 
@@ -41,11 +41,11 @@ class Located:
 
     @cached_property
     def scatter(self) -> Scatter:
-        """Sizes of noise and motions with causes and effects at work."""
+        """Sizes of noise and motions with causes and effects included."""
         return self.contest.scatter_beside(self.effects)
 
     def bench(self, corrected: Bench) -> Bench:
-        """Return a bench with the effects at work that a bench file can state."""
+        """Return a bench with the effects that a bench file can state added."""
         pairs = zip(self.effects, self.contest.values_and_covariances(self.effects, self.scatter), strict=True)
         added = [each for effect, estimate in pairs for each in effect.in_bench(*estimate)]
         return replace(corrected, effects=(*corrected.effects, *added)) if added else corrected
@@ -62,12 +62,12 @@ class Located:
         return (f"what the located effects describe imperfectly is in the corrected bench: {'; '.join(rests)}",)
 
     def fine_beside(self, fine: FineEffect | None) -> FineEffect | None:
-        """Return a fine effect, unless a smooth one has better odds, whose rest agrees between captures, too."""
+        """Return a fine effect, unless a smooth one has better odds: its remainder also agrees between captures."""
         smooth = max((effect.log10_odds for effect in self.effects), default=0.0)
         return None if fine is None or fine.log10_odds < smooth else fine
 
     def structure(self, effects: Sequence[StationEffect]) -> tuple[str, ...]:
-        """Return a sentence on a certain field that is not an effect, as it does not predict captures left out."""
+        """Return a sentence on a field with certain odds that fails to predict held-out captures, if there is one."""
         best = self.tried[0] if self.tried else None
         if effects or best is None or best.log10_odds < BEYOND_DOUBT:
             return ()
@@ -101,7 +101,7 @@ def locate(search: Search, found: Fit) -> Located:
 
 
 def _standing(search: Search, found: Fit, most: int) -> Located:
-    """Locate at most `most` effects in addition to the causes; drop causes that fields rival, one at a time."""
+    """Locate at most `most` effects in addition to the causes; drop causes that fields explain too, one at a time."""
     least, dropped = search.settings.least_log10_odds, list[str]()
     while True:
         contest = search.contest(search.on_subsample(found))
@@ -129,7 +129,7 @@ def _standing(search: Search, found: Fit, most: int) -> Located:
         alone, constants = search, not found.explanation.hypotheses
         search = alone.with_effects(effects, found.explanation, constants)
         found = search.refitted(found.explanation, contest.scatter_beside(effects))
-        # The effects' coefficients belong to the values that the causes have in this joint fit.
+        # The effects' coefficients must match the causes' values in this joint fit.
         contest = alone.contest(alone.on_subsample(found))
     return Located(
         search, found, contest, tuple(effects), tuple(tried), tuple(dropped), tuple(each for each, _ in odds)

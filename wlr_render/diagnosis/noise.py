@@ -1,9 +1,9 @@
-"""Noise of a session: its size in each part, photograph and place of the image, and the share common to neighbours.
+"""Noise of a session: its size by part, photograph and place in the image, and the share common to neighbours.
 
 Within one photograph every physical effect is smooth over the image; the residual of a smooth surface is noise. The
 noise of a reading is the noise of its part, times a factor of its photograph, times a factor that grows from the middle
-of the image to its corner. A share of it may be a smooth random field that neighbouring readings of a photograph have
-in common (an autofocus that breathes, air that moves, a code that interpolates).
+of the image to its corner. A share of it may be a smooth random field common to neighbouring readings of a photograph
+(a breathing autofocus, moving air, an interpolating code).
 """
 
 from dataclasses import dataclass, replace
@@ -16,18 +16,18 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.shared_noise import SharedNoise
 
 SIGNIFICANT_SE = 3.0
-"""Standard errors from which two variances differ: chance exceeds 3 in one of 700 comparisons."""
+"""Standard errors beyond which two variances differ: chance exceeds 3 in one of 700 comparisons."""
 MATERIAL_VARIANCE = 0.1
-"""Share of a variance below which a difference changes neither verdict nor error bars by much."""
+"""Relative difference of a variance below which neither verdict nor error bars change much."""
 _STATED_ERROR = 0.1  # relative error of a sigma that a bench states
-_ENOUGH_FOR_A_SPREAD = 8  # photographs
+_ENOUGH_FOR_A_SPREAD = 8  # fewest photographs whose spread gives an error
 _RIM_FACTORS = np.arange(0.3, 5.01, 0.05)
 _SPREADS = np.concatenate([[0.0], np.geomspace(0.03, 2.0, 60)])
 
 
 @dataclass(frozen=True)
 class Variance:
-    """A variance per axis in units of sigma squared, and its relative standard error; NaN where it is not known."""
+    """A variance per axis in units of sigma squared, and its relative standard error; NaN where unknown."""
 
     value: float
     error: float
@@ -45,8 +45,8 @@ def is_significant(difference: float, error: float) -> bool:
     """Return whether two variances differ by more than chance, and by enough to matter.
 
     Args:
-        difference: of their logarithms, of either sign.
-        error: its standard error.
+        difference: difference of their logarithms, of either sign.
+        error: standard error of the difference.
     """
     return abs(difference) > max(SIGNIFICANT_SE * error, MATERIAL_VARIANCE)
 
@@ -56,19 +56,19 @@ class NoiseFloor:
     """The noise of one part of a session, camera pixels per axis: root mean square over its readings.
 
     Attributes:
-        part: its name.
-        stated_px: as the bench states it.
-        within_px: from within the photographs; NaN where they have too few points.
-        repeats_px: from photographs taken twice from one place; NaN without such.
+        part: name of the part.
+        stated_px: noise as the bench states it.
+        within_px: noise within single photographs; NaN where they have too few points.
+        repeats_px: noise between photographs repeated from one place; NaN without such repeats.
         measured_px: the best estimate from both; NaN without either.
         error_px: standard error of `measured_px`.
         used_px: noise that the diagnosis uses: stated and measured noise weighted by their errors; the measured one
             where the stated one is not believable.
         is_believable: whether the stated noise does not differ significantly from the measured one.
-        rim_factor: noise in the corner of the image over that in its middle; 1 where it does not clearly differ.
-        photographs_differ: standard deviation of the logarithm of the photographs' noise; 0 likewise.
-        shared: share of the variance that neighbouring readings have in common; 0 likewise.
-        shared_reach_px: distance in the image over which they do; NaN where nothing is shared.
+        rim_factor: ratio of the noise in the corner of the image to the middle; 1 without a clear difference.
+        photographs_differ: standard deviation of the logarithm of the photographs' noise; 0 if not clear.
+        shared: share of the variance that neighbouring readings have in common; 0 if not clear.
+        shared_reach_px: reach of the shared noise in the image; NaN where nothing is shared.
         shared_is_smooth: whether the shared noise varies smoothly over the image.
     """
 
@@ -87,7 +87,7 @@ class NoiseFloor:
     shared_is_smooth: bool = True
 
     def shared_correlation(self, place: FloatArray) -> FloatArray:
-        """Return the correlation (m, m) of the shared noise between places (m, 2) of the image."""
+        """Return the correlation (m, m) of the shared noise between places (m, 2) in the image."""
         return SharedNoise(self.shared, self.shared_reach_px, self.shared_is_smooth).correlation(place)
 
 
@@ -96,9 +96,9 @@ class Noise:
     """Noise of all readings.
 
     Attributes:
-        floors: of each part that the session has.
-        sigma_px: (n,) of each reading per axis, camera pixels.
-        outlier: (n,) True for readings too far from their neighbours to be noise.
+        floors: noise of each part that the session has.
+        sigma_px: (n,) standard deviation of each reading per axis, camera pixels.
+        outlier: (n,) mask of the readings too far from their neighbours to be noise.
     """
 
     floors: tuple[NoiseFloor, ...]
@@ -134,7 +134,7 @@ def noise_of(observations: Observations, residual: FloatArray) -> Noise:
 
 
 def measured_at_run_time(floor: NoiseFloor, factor: float, readings: int) -> NoiseFloor:
-    """Return the noise at run time from its residual: `factor` times the noise used, by a number of readings."""
+    """Return the run-time noise as measured from `readings` residuals: `factor` times the noise used so far."""
     measured = factor * floor.used_px
     variance_error = float(np.sqrt(1.0 / readings))
     is_believable = not is_significant(2.0 * float(np.log(measured / floor.stated_px)), variance_error)
@@ -162,7 +162,7 @@ def _floor(
     error_px, used_px, is_believable = np.nan, stated, True
     if measured.value > 0.0:
         error_px = 0.5 * measured_px * measured.error
-        # Of logarithms the relative error is the error, whichever of the two is true.
+        # The relative error is the error of the logarithm, whichever of the two variances is true.
         logarithm = float(np.log(measured.value))
         is_believable = not is_significant(logarithm, measured.error)
         weight = (2.0 * _STATED_ERROR) ** 2 / ((2.0 * _STATED_ERROR) ** 2 + measured.error**2)
@@ -172,14 +172,14 @@ def _floor(
 
 
 def _over_field(observations: Observations, rows: IntArray, rim: float) -> FloatArray:
-    """Return the factor of the noise at the rows: it grows from 1 in the middle of the image to `rim` in its corner."""
+    """Return the noise factor at the rows, which grows from 1 in the middle of the image to `rim` in its corner."""
     centre = 0.5 * np.asarray(observations.nominal.camera.size_px, dtype=np.float64)
     place = np.nan_to_num(observations.image_place[rows] - centre)
     return np.asarray(1.0 + (rim - 1.0) * np.sum(place**2, axis=1) / float(centre @ centre))
 
 
 def _rim_factor(observations: Observations, own: list[Surface]) -> float:
-    """Return the growth of the noise to the corner by likelihood; 1 where it is not clear."""
+    """Return the ratio of the noise in the corner to the middle, by maximum likelihood; 1 if it is not clear."""
     if not own:
         return 1.0
     squares = np.concatenate([each.squares / np.mean(each.squares).clip(1e-300) for each in own])
@@ -188,7 +188,7 @@ def _rim_factor(observations: Observations, own: list[Surface]) -> float:
     count = np.bincount(photograph)
     spread = np.stack([_over_field(observations, rows, rim) ** 2 for rim in (*_RIM_FACTORS, 1.0)])
     size = np.stack([np.bincount(photograph, squares / each) / count for each in spread])
-    # Both axes: two values a reading.
+    # Two values per reading, one for each axis, cancel the factor 1/2 of the log likelihood.
     likelihood = -np.sum(np.log(spread), axis=1) - np.sum(count * np.log(size.clip(1e-300)), axis=1)
     best = int(np.argmax(likelihood[:-1]))
     return float(_RIM_FACTORS[best]) if likelihood[best] - likelihood[-1] > CLEARLY else 1.0
@@ -197,7 +197,8 @@ def _rim_factor(observations: Observations, own: list[Surface]) -> float:
 def _photograph_factors(own: list[Surface], shape: FloatArray) -> tuple[FloatArray, float]:
     """Return the factor of each photograph's noise, and the standard deviation of the factors' logarithms.
 
-    Their logarithms are normal about a common mean with a spread that is found, and each is shrunk by it.
+    The logarithms are taken as normal about a common mean; their spread is estimated, and each is shrunk towards the
+    mean accordingly.
     """
     if len(own) < 3:
         return np.ones(len(own)), 0.0
@@ -218,10 +219,10 @@ def _photograph_factors(own: list[Surface], shape: FloatArray) -> tuple[FloatArr
 
 
 def _combined(within: Variance, repeats: Variance) -> Variance:
-    """Return the mean weighted by inverse variance; the smaller one alone where the two contradict each other.
+    """Return the mean weighted by inverse variance, or the smaller of the two where they contradict each other.
 
-    Repeats do not mistake a fixed pattern finer than a photograph's points for noise; and a difference between two
-    photographs that exceeds the variation within each is not noise.
+    If repeats are smaller, the photographs contain a fixed pattern finer than their points. If they are larger, the
+    bench has moved between the photographs. Neither is noise.
     """
     if not (within.is_known and repeats.is_known):
         return within if within.is_known else repeats
@@ -236,7 +237,7 @@ def _combined(within: Variance, repeats: Variance) -> Variance:
 
 
 def _within(own: list[Surface], shape: FloatArray, shared: NeighbourNoise) -> Variance:
-    """Return the variance relative to `shape` squared: the median over the photographs, so that one may be bad.
+    """Return the variance relative to `shape` squared: the median over the photographs, in case one is bad.
 
     Args:
         own: surfaces of the part.
@@ -252,7 +253,7 @@ def _within(own: list[Surface], shape: FloatArray, shared: NeighbourNoise) -> Va
     median = float(np.median(variances))
     error = float(np.sqrt(2.0 / np.mean(degrees)))
     if median > 0.0 and len(variances) >= _ENOUGH_FOR_A_SPREAD:
-        # 1.48: a standard deviation by the median absolute deviation; Gaussian noise scatters least.
+        # 1.48: ratio of a standard deviation to the median absolute deviation; Gaussian noise scatters least.
         error = max(error, 1.48 * float(np.median(np.abs(variances - median))) / median)
     # 1.25: ratio of the standard errors of a median and a mean.
     few = 1.25 if len(variances) > 2 else 1.0
@@ -261,9 +262,9 @@ def _within(own: list[Surface], shape: FloatArray, shared: NeighbourNoise) -> Va
 
 
 def _repeats(observations: Observations, residual: FloatArray, shape: FloatArray, shared: NeighbourNoise) -> Variance:
-    """Return the variance by display points seen more than once at one camera pixel from one place.
+    """Return the variance from display points seen more than once, at one camera pixel from one place.
 
-    Smooth differences between two photographs are subtracted: the bench has moved in between, which is not noise.
+    Smooth differences between photographs are subtracted: they are motions of the bench, not noise.
     """
     plan = observations.session.plan.display
     if plan is None:
@@ -272,7 +273,7 @@ def _repeats(observations: Observations, residual: FloatArray, shape: FloatArray
     _, point, counts = np.unique(place, axis=0, return_inverse=True, return_counts=True)
     own, times = residual[observations.part == DISPLAY], counts[point]
     sums = np.stack([np.bincount(point, own[:, axis]) for axis in (0, 1)], axis=-1)
-    # A deviation from the mean of k readings is smaller than noise by the root of 1 - 1/k.
+    # A deviation from the mean of k readings is sqrt(1 - 1/k) times the noise.
     deviation = (own - sums[point] / times[:, None]) / np.sqrt(1.0 - 1.0 / times.clip(2))[:, None]
     repeated = np.zeros(len(observations), dtype=bool)
     repeated[np.flatnonzero(observations.part == DISPLAY)[times > 1]] = True
@@ -280,6 +281,6 @@ def _repeats(observations: Observations, residual: FloatArray, shape: FloatArray
         return _UNKNOWN
     twice = list(surfaces(observations.of_rows(repeated), deviation[times > 1]))
     found = _within(twice, shape[repeated], shared)
-    # Of k photographs from one place, the deviations from their mean hold k - 1 independent ones.
+    # Only k - 1 of the k deviations from the mean of k photographs are independent.
     again = float(np.mean(times[times > 1]))
     return Variance(found.value, found.error / float(np.sqrt(1.0 - 1.0 / again)))

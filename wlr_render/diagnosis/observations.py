@@ -23,8 +23,8 @@ PART_NAMES = ("display", "see-through", "run-time")
 PART_UNITS = ("panel px", "arcmin", "arcmin")
 """Unit of the residual of each part of a session."""
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-_SAME_DISTANCE = 1.05  # ratio of neighbouring distances up to which they are one
-_PIXEL_STEP = 0.5  # camera pixels, of the central differences for the noise
+_SAME_DISTANCE = 1.05  # ratio of neighbouring distances up to which they count as equal
+_PIXEL_STEP = 0.5  # step of the central differences for the noise, camera pixels
 
 
 @dataclass(frozen=True, order=True)
@@ -34,7 +34,7 @@ class CaptureName:
     Attributes:
         part: index into `PART_NAMES`.
         target_pose: number of the target's pose; -1 without a target.
-        capture: its number in the table.
+        capture: number of the capture in the table.
     """
 
     part: int
@@ -52,10 +52,10 @@ class Observations:
 
     Attributes:
         session: the readings.
-        nominal: the bench as its makers believe it to be.
+        nominal: the bench as described.
         sigma_px: (n,) standard deviation of each reading per axis, camera pixels.
-        panel_from_camera: (n_display, 2, 2) panel pixels per camera pixel at each display reading; none without any.
-        captures: of the session, sorted; a capture in several colours is several photographs.
+        panel_from_camera: (n_display, 2, 2) panel pixels per camera pixel at each display reading.
+        captures: captures of the session, sorted; a capture in several colours is several photographs.
         group: (n,) index into `captures` for each reading, display first, then see-through, then run-time.
         part: (n,) index into `PART_NAMES`.
     """
@@ -89,7 +89,7 @@ class Observations:
         if measured.dot_pixel is not None and predicted.dot_pixel is not None:
             parts.append((measured.dot_pixel - predicted.dot_pixel) / self.sigma_of(SEE_THROUGH))
         if measured.run_time_pixel is not None and predicted.run_time_pixel is not None:
-            # The virtual dot against the real one: whoever sees both need not know where he looks.
+            # Virtual minus real dot: the difference does not depend on the direction of view.
             difference = measured.run_time_pixel - predicted.run_time_pixel
             parts.append((difference[:, :2] - difference[:, 2:]) / self.sigma_of(RUN_TIME))
         return np.concatenate(parts)
@@ -112,7 +112,7 @@ class Observations:
         return np.asarray(3 * self.group + channel)
 
     def of_captures(self, name: str, width: int) -> FloatArray:
-        """Return a column of the tables of captures, (n, width); zero at run time."""
+        """Return a column (n, width) of the capture tables, row by row; zero at run time."""
         plan, values = self.session.plan, np.zeros((len(self), width))
         for part, table in ((DISPLAY, plan.display), (SEE_THROUGH, plan.see_through)):
             if table is not None:
@@ -130,29 +130,29 @@ class Observations:
         return place
 
     def in_unit_of(self, part: int, residual: FloatArray) -> FloatArray:
-        """Return the residual of a part's readings in the part's unit, (n_part, 2), see `PART_UNITS`."""
+        """Return the residual (n_part, 2) of a part's readings in the part's unit, see `PART_UNITS`."""
         if part != DISPLAY:
             return self.arcminutes(residual, part)
         own = residual[self.part == DISPLAY] * self.sigma_of(DISPLAY)
         return np.asarray((self.panel_from_camera @ own[:, :, None])[:, :, 0])
 
     def arcminutes(self, residual: FloatArray, part: int) -> FloatArray:
-        """Return the residual of a part's readings in arcminutes at the middle of the camera's image, (n_part, 2)."""
+        """Return the residual (n_part, 2) of a part's readings in arcminutes at the middle of the camera's image."""
         own = residual[self.part == part] * self.sigma_of(part)
         return np.asarray(own / (self.nominal.camera.focal_px * ARCMIN))
 
     def target_distance(self) -> FloatArray:
-        """Return the metres (m,) from camera to target of each see-through reading, averaged over the pose."""
+        """Return the distance (m,) from camera to target, in metres, of each see-through reading, averaged by pose."""
         plan = self.session.plan.see_through
         if plan is None:
             return np.zeros(0)
         viewpoint, point, _ = dot_geometry(self.nominal, plan)
-        # Not dot by dot: on a tilted target the distance would depend on the place on it.
+        # Averaged because on a tilted target the distance differs between dots.
         _, pose, count = np.unique(plan.target_pose, return_inverse=True, return_counts=True)
         return np.asarray((np.bincount(pose, np.linalg.norm(point - viewpoint, axis=1)) / count)[pose])
 
     def target_distances(self) -> dict[str, BoolArray]:
-        """Return masks (n,) of the readings at each distance of the target from the camera, by name, nearest first."""
+        """Return a mask (n,) of the readings at each target distance from the camera, by name, nearest first."""
         of_row = self.target_distance()
         distances, named = np.unique(of_row), dict[str, BoolArray]()
         steps = np.flatnonzero(distances[1:] > _SAME_DISTANCE * distances[:-1]) + 1
@@ -163,7 +163,7 @@ class Observations:
         return named
 
     def with_sigma(self, sigma_px: FloatArray) -> "Observations":
-        """Return the same readings with other noise (n,), camera pixels."""
+        """Return the same readings with another noise (n,), in camera pixels."""
         return replace(self, sigma_px=sigma_px)
 
     def spread(self, most: int) -> BoolArray:
@@ -174,13 +174,13 @@ class Observations:
         present = [part for part in range(len(PART_NAMES)) if np.any(self.part == part)]
         for part in present:
             rows = np.flatnonzero(self.part == part)
-            # Multiples of the golden section never fall in step with the rows and columns of a grid.
+            # Multiples of the golden ratio never fall in step with the rows and columns of a grid.
             order = np.argsort(np.mod(np.arange(len(rows)) * _GOLDEN, 1.0), kind="stable")
             keep[rows[order[most // len(present) :]]] = False
         return keep
 
     def masks(self, keep: BoolArray) -> list[BoolArray]:
-        """Return a mask (n,) of all readings as one mask for each part."""
+        """Split a mask (n,) of all readings into one mask per part."""
         return [keep[self.part == part] for part in range(len(PART_NAMES))]
 
     def of_rows(self, keep: BoolArray) -> "Observations":
@@ -201,7 +201,7 @@ class Observations:
 
 
 def readings_of_rows(readings: Readings, masks: Sequence[BoolArray]) -> Readings:
-    """Return the rows of each part that its mask selects."""
+    """Return the rows of each part selected by its mask."""
     return Readings(*(None if part is None else part[mask] for part, mask in zip(readings.parts, masks, strict=True)))
 
 
@@ -222,7 +222,7 @@ def observed(nominal: Bench, session: Session) -> Observations:
 
 def _stated_sigma(nominal: Bench, plan: SessionPlan, part: IntArray) -> FloatArray:
     """Return the standard deviation (n,) that the bench or the reading itself states, camera pixels."""
-    # At run time two dots are compared.
+    # A run-time reading is the difference of two dots.
     sigma = nominal.camera.point_sigma_px * np.where(part == RUN_TIME, np.sqrt(2.0), 1.0)
     for number, table in ((DISPLAY, plan.display), (SEE_THROUGH, plan.see_through)):
         if table is not None and table.sigma_px is not None:
@@ -235,7 +235,7 @@ def _panel_from_camera(bench: Bench, plan: SessionPlan) -> FloatArray:
     """Return the local Jacobian (n, 2, 2) of panel pixel by camera pixel."""
     if plan.display is None:
         return np.zeros((0, 2, 2))
-    # Cells have steps at their borders, and no slopes.
+    # Leave out cells: they have steps at their borders and no slope.
     smooth = tuple(effect for effect in bench.effects if not isinstance(effect.function, Cells))
     bench = bench if len(smooth) == len(bench.effects) else replace(bench, effects=smooth)
     columns = []

@@ -1,6 +1,6 @@
-"""Errors that repeat: a stage's with its screws, and decoded positions with the stripes of a code.
+"""Periodic errors: of a stage with its lead screws, and of decoded positions with the stripes of a code.
 
-A shift along an axis is periodic in the place along that axis. Each axis has one field, of the likeliest period.
+A shift along an axis is periodic in the position along that axis. Each axis has one field, with the likeliest period.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,13 +18,13 @@ from wlr_render.numerics.scatter import USUAL_SHIFT, USUAL_TURN
 from wlr_render.numerics.waves import Wave
 
 _LEADS_MM = (0.25, 4.0)  # limits of periods: leads of screws and their fractions
-_STRIPES_PX = (8.0, 160.0)  # the same: fringes, and stripes of a code that are misread
-_CODE_DEGREE = 6  # degree of the smooth shifts on the panel that are taken off before stripes are looked for
-_ANYWHERE = 1e6  # bound of what does not depend on the place
-_PER_RANGE = 3.0  # frequencies tried for each wave over an axis' range: between them a wave hardly changes
+_STRIPES_PX = (8.0, 160.0)  # limits of periods: fringes, and misread stripes of a code
+_CODE_DEGREE = 6  # degree of the smooth shifts on the panel that are subtracted before the search for stripes
+_ANYWHERE = 1e6  # bounds of the constant, which acts everywhere
+_PER_RANGE = 3.0  # frequencies tried per cycle over an axis' range; a wave hardly changes between them
 _ROUNDS, _CLOSER = 2, 21
-"""Rounds of periods ever closer to the best one, and their number in a round. A round reaches from one neighbour of the
-best period in the round before to the other."""
+"""Rounds of refining the best period, and periods per round. Each round spans the two neighbours of the previous
+round's best period."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +32,13 @@ class _Axes:
     """Axes of a station along which a shift may repeat.
 
     Attributes:
-        station, coordinates, displaces, units: of the station and its effect in a bench; of the shift, and of places.
+        station, coordinates, displaces: as in the station's fields and bench effects.
+        units: units of the shift and of places.
         names: name of each axis.
         periods: limits of the periods to try.
         rows: (n,) mask of the readings.
-        place: (m, v) of these along each axis.
-        lever: (m, 2, d) change of each by a displacement; its first v components are shifts along the axes.
+        place: (m, v) places of these readings along each axis.
+        lever: (m, 2, d) change of each reading by a displacement; the first v components are shifts along the axes.
         tried: places along the axes (k, v), with the measured shifts (k, v), their variances (k, v), and smooth
             functions (k, f) that are fitted together with each wave.
     """
@@ -54,7 +55,7 @@ class _Axes:
     tried: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
     def fields(self, like: Sequence[StationField]) -> Iterator[StationField]:
-        """Return the field of the likeliest period of each axis; `like` has fields whose periods are taken."""
+        """Yield the field with the likeliest period of each axis, or with the period of its field in `like`."""
         variables, components = self.place.shape[1], self.lever.shape[2]
         anywhere = np.full(variables, _ANYWHERE)
         constant = polynomials(np.zeros((1, variables), dtype=np.int64), Box(-anywhere, anywhere))
@@ -71,7 +72,7 @@ class _Axes:
             terms = Terms(
                 self.coordinates, self.place[:, [axis]], functions, np.array([1, 1, 0]), (1,), (wave, constant)
             )
-            # A wave that few places sample may be nearly constant there. A constant rivals no cause of another station.
+            # Subtract means: a wave sampled at few places may be nearly constant, and a constant must not rival causes.
             field = field_of(
                 self.station,
                 f"{form} {period:.3g} {self.units[1]}",
@@ -88,12 +89,12 @@ class _Axes:
 def screw_fields(
     readings: WeighedReadings, stage: FloatArray, like: Sequence[StationField] = ()
 ) -> Iterator[StationField]:
-    """Return the field of the likeliest period of each axis of the stage.
+    """Return the field with the likeliest period of each axis of the stage.
 
     Args:
-        readings: of the session.
+        readings: readings of the session.
         stage: (n, 3) readings of the stage's axes, metres.
-        like: fields of other readings, whose periods are taken.
+        like: fields of other readings; their periods are used.
     """
     observations = readings.observations
     still = observations.part != RUN_TIME
@@ -110,13 +111,13 @@ def screw_fields(
 def stripe_fields(
     readings: WeighedReadings, pixel: FloatArray, lever: FloatArray, like: Sequence[StationField] = ()
 ) -> Iterator[StationField]:
-    """Return the field of the likeliest period along each axis of the panel.
+    """Return the field with the likeliest period along each axis of the panel.
 
     Args:
-        readings: of the session.
-        pixel: (m, 2) predicted positions on the panel of the readings of the display.
+        readings: readings of the session.
+        pixel: (m, 2) predicted panel positions of the display readings.
         lever: (m, 2, 2) change of these readings by a panel pixel along u and v, in sigma.
-        like: fields of other readings, whose periods are taken.
+        like: fields of other readings; their periods are used.
     """
     shown, inverse = readings.observations.part == DISPLAY, np.linalg.inv(lever)
     shift = np.einsum("nij,nj->ni", inverse, readings.predictor.residual(Explanation())[shown])
@@ -127,7 +128,7 @@ def stripe_fields(
 
 
 def _periods(limits: tuple[float, float], over: float) -> FloatArray:
-    """Return the periods within limits that differ over a range."""
+    """Return the periods within limits that can be distinguished over a range of places."""
     if over <= 0.0:
         return np.zeros(0)
     low, high = 1.0 / limits[1], 1.0 / limits[0]
@@ -135,9 +136,9 @@ def _periods(limits: tuple[float, float], over: float) -> FloatArray:
 
 
 def _shifts(readings: WeighedReadings, captures: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return the shift (g, 3) of each capture's camera that its residual shows, micrometres, and its variance.
+    """Return the shift (g, 3) of each capture's camera, from its residual, in micrometres, and its variance.
 
-    The other shifts and turns of that capture are as large as usual; the variance contains the usual shift.
+    The capture's other shifts and turns have the usual size as prior; the variance includes the usual shift.
     """
     nothing = readings.predictor.residual(Explanation())
     sums = readings.sums(nothing, np.zeros((*nothing.shape, 0)))
@@ -154,7 +155,7 @@ def _shifts(readings: WeighedReadings, captures: IntArray) -> tuple[FloatArray, 
 
 
 def _likeliest(periods: FloatArray, tried: tuple[FloatArray, ...]) -> float:
-    """Return the period of largest gain among some, and then among closer and closer ones around it."""
+    """Return the period of largest gain, refined from the best of some periods."""
     best = float(periods[int(np.argmax(_gains(periods, *tried)))])
     step = 1.0 / (_PER_RANGE * float(np.ptp(tried[0])))
     for _ in range(_ROUNDS):
@@ -168,7 +169,7 @@ def _likeliest(periods: FloatArray, tried: tuple[FloatArray, ...]) -> float:
 def _gains(
     periods: FloatArray, place: FloatArray, shift: FloatArray, variance: FloatArray, smooth: FloatArray
 ) -> FloatArray:
-    """Return the fall of the weighted sum of squares by each period's wave, fitted with the smooth functions."""
+    """Return the reduction of the weighted sum of squares by each period's wave, fitted with the smooth functions."""
     weight = 1.0 / np.sqrt(variance)
     axes = np.linalg.qr(smooth * weight[:, None])[0]
     left = shift * weight

@@ -1,4 +1,4 @@
-"""Predicted readings of a bench with causes at work, and their derivatives by the causes' values."""
+"""Predicted readings of a bench with causes applied, and their derivatives with respect to the causes' values."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -23,7 +23,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.optics.device import EyeOptics
 
 _STEP = 2e-3  # finite-difference step, in prior sigmas of a parameter
-_NOTHING = 1e-4  # sigma per prior sigma: solves from different starts differ by 1e-5
+_NOTHING = 1e-4  # derivative, in sigma per prior sigma, that counts as zero: different starts of a solve give 1e-5
 _READ_BY: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("stage", "mount"), (DISPLAY, SEE_THROUGH)),
     **dict.fromkeys(("readout", "wavelengths_um"), (DISPLAY,)),
@@ -34,12 +34,12 @@ _READ_BY: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("panel", "display"), (DISPLAY, RUN_TIME)),
     "see_through": (SEE_THROUGH, RUN_TIME),
 }
-"""Parts of a session that depend on an attribute of a bench or of its optics; on any other one, all parts do."""
+"""Parts of a session that depend on an attribute of a bench or of its optics; all parts depend on other attributes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A cause acting in one of its ways."""
+    """A cause in one of its variants."""
 
     cause: Cause
     variant: str
@@ -47,11 +47,11 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Causes at work, in order: with them the nominal bench becomes the corrected one.
+    """Causes with values, in the order in which they turn the nominal bench into the corrected one.
 
     Attributes:
-        hypotheses: which.
-        values: one array of parameter values for each, in the parameters' units.
+        hypotheses: the causes in their variants.
+        values: one array of parameter values for each cause, in the parameters' units.
     """
 
     hypotheses: tuple[Hypothesis, ...] = ()
@@ -63,13 +63,13 @@ class Explanation:
         return tuple(hypothesis.cause.name for hypothesis in self.hypotheses)
 
     def bench(self, nominal: Bench) -> Bench:
-        """Return the corrected bench: the nominal one with the causes at work."""
+        """Return the corrected bench: the nominal one with the causes applied."""
         for hypothesis, values in zip(self.hypotheses, self.values, strict=True):
             nominal = hypothesis.cause.perturb(nominal, values, hypothesis.variant)
         return nominal
 
     def plus(self, hypothesis: Hypothesis, values: FloatArray | None = None) -> "Explanation":
-        """Return the explanation with one more cause, at its null values unless others are given."""
+        """Return the explanation with one more cause, by default at its null values."""
         added = hypothesis.cause.null() if values is None else values
         return Explanation((*self.hypotheses, hypothesis), (*self.values, added))
 
@@ -79,7 +79,7 @@ class Explanation:
         return Explanation(tuple(self.hypotheses[i] for i in kept), tuple(self.values[i] for i in kept))
 
     def parameters(self) -> list[Parameter]:
-        """All parameters, in order."""
+        """Return all parameters, in order."""
         return [parameter for hypothesis in self.hypotheses for parameter in hypothesis.cause.parameters]
 
     @property
@@ -97,11 +97,11 @@ class Explanation:
         return np.asarray(off)
 
     def vector(self) -> FloatArray:
-        """All values one after the other."""
+        """Return all values as one vector."""
         return np.concatenate([np.zeros(0), *self.values])
 
     def at(self, vector: FloatArray) -> "Explanation":
-        """Return the same causes at other values."""
+        """Return the same causes with other values."""
         ends = np.cumsum([len(values) for values in self.values])
         return replace(self, values=tuple(np.split(vector, ends[:-1])) if self.values else ())
 
@@ -112,8 +112,8 @@ class State:
 
     Attributes:
         bench: the bench.
-        readings: predicted.
-        views: of its dots, for neighbouring benches to start from.
+        readings: its predicted readings.
+        views: views of its dots, as start values for similar benches.
     """
 
     bench: Bench
@@ -123,13 +123,13 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """Readings near one explanation.
+    """Predicted readings linearised about one explanation.
 
     Attributes:
-        explanation: where.
+        explanation: the explanation.
         state: its bench and readings.
-        residual: (n, 2) measured minus predicted there, in units of sigma.
-        jacobian: (n, 2, p) of the predicted readings by the free parameters, in units of sigma per prior sigma.
+        residual: (n, 2) measured minus predicted, in units of sigma.
+        jacobian: (n, 2, p) derivative of the predicted readings by the free parameters, in sigma per prior sigma.
         free: (p,) indices into the explanation's parameters; times, and shapes of an effect of no size, are not free.
     """
 
@@ -146,14 +146,14 @@ class Linearisation:
 
 
 class Predictor:
-    """Predicts the readings of one set of observations by explanations of its nominal bench.
+    """Prediction of one set of observations by explanations of their nominal bench.
 
-    A state near another one costs little: the part of a session that their difference cannot touch is not done again,
-    and the rest starts from the other's solution.
+    A state near a known one is cheap: parts of the session that do not depend on the difference are not simulated
+    again, and the other parts start from the known solution.
     """
 
     def __init__(self, observations: Observations, nominal: State | None = None) -> None:
-        """`nominal` is the state of the nominal bench where it is known; else the session is simulated."""
+        """Simulate the session with the nominal bench, unless its state `nominal` is known."""
         self.observations = observations
         self._nominal = nominal or _nominal_state(observations.nominal, observations.session.plan)
 
@@ -183,23 +183,23 @@ class Predictor:
         return Predictor(observations, _state_of_rows(self._nominal, observations.session.plan, masks))
 
     def residual(self, explanation: Explanation) -> FloatArray:
-        """Measured minus predicted, (n, 2), in units of sigma."""
+        """Return measured minus predicted (n, 2), in units of sigma."""
         return self.residual_of(self.state(explanation))
 
     def residual_of_bench(self, bench: Bench) -> FloatArray:
-        """Likewise, of any bench of the same headset."""
+        """Return measured minus predicted (n, 2), in units of sigma, for any bench of the same headset."""
         near, todo = self._nominal, self._touched(bench, self._nominal)
         views = Views.of(bench, todo, near.views)
         return self.observations.residual(_merged(simulate(bench, todo, views), near.readings))
 
     def residual_of(self, state: State) -> FloatArray:
-        """Likewise, of a state."""
+        """Return measured minus predicted (n, 2), in units of sigma, for a state."""
         return self.observations.residual(state.readings)
 
     def state(self, explanation: Explanation, near: State | None = None) -> State:
-        """Return an explanation's bench and its readings, starting from the nominal or a nearer state.
+        """Return an explanation's bench and its readings, starting from `near` or the nominal state.
 
-        All readings are NaN if such a bench cannot exist, e.g. if a displaced panel is invisible from everywhere.
+        All readings are NaN if such a bench cannot exist, e.g. if a displaced panel is visible from nowhere.
         """
         near = near or self._nominal
         try:
@@ -211,28 +211,28 @@ class Predictor:
             return replace(near, readings=_lost(near.readings))
 
     def linearised(self, explanation: Explanation, state: State | None = None) -> Linearisation:
-        """Residual and Jacobian at an explanation, whose state may be known, by forward differences."""
+        """Return residual and Jacobian at an explanation, by forward differences; its state may be given."""
         return self._differences(explanation, 0, state or self.state(explanation))
 
     def added(self, state: State, explanation: Explanation) -> Linearisation:
-        """Linearisation by the parameters of an explanation's last cause only.
+        """Return the linearisation by the parameters of an explanation's last cause only.
 
         Args:
-            state: of the explanation; while its last cause has no effect, of the others.
+            state: state of the explanation; without its last cause while that has no effect.
             explanation: the explanation.
         """
         return self._differences(explanation, len(explanation.vector()) - len(explanation.values[-1]), state)
 
     def signature(self, hypothesis: Hypothesis, values: FloatArray | None = None) -> Linearisation:
-        """Return the linearisation by the parameters of one cause alone, at its null values unless others are given."""
+        """Return the linearisation by the parameters of one cause alone, by default at its null values."""
         explanation = Explanation().plus(hypothesis, values)
         return self.added(self.state(Explanation()), explanation)
 
     def lever(self, change: Perturb, steps: FloatArray) -> FloatArray:
-        """Return the change (n, 2, k) of the readings, in sigma, by each value (k,) of a change of the nominal bench.
+        """Return the derivative (n, 2, k) of the readings, in sigma, by each value (k,) of a change of the bench.
 
         Args:
-            change: the change; zeros leave the bench as it is.
+            change: the change; zeros leave the bench unchanged.
             steps: (k,) steps of the forward differences, in the units of the values.
         """
         base = self._nominal
@@ -243,7 +243,7 @@ class Predictor:
         return np.stack(columns, axis=-1)
 
     def extended(self, old: Linearisation, state: State, explanation: Explanation) -> Linearisation:
-        """Return the linearisation by all parameters; derivatives of all causes but the last come from `old`.
+        """Return the linearisation by all parameters, with the derivatives of all causes except the last from `old`.
 
         Args:
             old: a linearisation, with or without the last cause.
@@ -271,7 +271,7 @@ class Predictor:
     def _by_step(self, base: State, residual: FloatArray, change: Perturb, values: FloatArray) -> FloatArray:
         """Return the change (n, 2) of the readings from a state to a changed nominal bench, to first order, in sigma.
 
-        A reading that the step loses, or a step to a bench that cannot exist, changes nothing.
+        The change is zero for a reading that the step loses, and for a bench that cannot exist.
         """
         try:
             bench = change(self.observations.nominal, values)
@@ -293,19 +293,19 @@ class Predictor:
 
 
 def _changes(bench: Bench, old: Bench) -> Iterator[str]:
-    """Attributes that differ between two benches, and between the optics of their eyes."""
+    """Yield the attributes that differ between two benches, and between the optics of their eyes."""
     for kind, new, was in ((Bench, bench, old), (EyeOptics, bench.optics, old.optics)):
-        names = (each.name for each in fields(kind) if each.name not in ("device", "eye"))  # known by their optics
+        names = (each.name for each in fields(kind) if each.name not in ("device", "eye"))  # compared by their optics
         yield from (name for name in names if getattr(new, name) is not getattr(was, name))
 
 
 def _lost(readings: Readings) -> Readings:
-    """Return readings of which none is predicted."""
+    """Return the readings with every prediction NaN."""
     return Readings(*(None if part is None else np.full_like(part, np.nan) for part in readings.parts))
 
 
 def _acts(by_step: FloatArray) -> bool:
-    """Return whether a step of `_STEP` prior sigmas changes readings by more than solves from other starts differ."""
+    """Return whether a step of `_STEP` prior sigmas changes readings by more than the error of the solver."""
     return bool(np.max(np.abs(by_step), initial=0.0) > _NOTHING * _STEP)
 
 
@@ -315,7 +315,7 @@ def _nominal_state(nominal: Bench, plan: SessionPlan) -> State:
 
 
 def _state_of_rows(state: State, plan: SessionPlan, masks: Sequence[BoolArray]) -> State:
-    """Return the state of the rows that a mask of each part keeps; `plan` has these rows."""
+    """Return the state of the rows selected by each part's mask; `plan` has only these rows."""
     dots, run_time = state.views.dots, state.views.run_time
     some = Views(
         None if plan.see_through is None or dots is None else dots.of_rows(plan.see_through, masks[SEE_THROUGH]),
@@ -325,5 +325,5 @@ def _state_of_rows(state: State, plan: SessionPlan, masks: Sequence[BoolArray]) 
 
 
 def _merged(found: Readings, old: Readings) -> Readings:
-    """Return the new readings, with the old ones of the parts that were not simulated again."""
+    """Return the new readings, and the old ones for parts that were not simulated again."""
     return Readings(*(was if new is None else new for new, was in zip(found.parts, old.parts, strict=True)))

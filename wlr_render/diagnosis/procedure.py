@@ -1,7 +1,7 @@
 """Diagnose a session with its nominal bench.
 
-The steps are: noise and outliers, selection of causes, comparison of the candidates for each place, effects at stations
-without a cause, correction of the bench, the unexplained residual, and the record.
+The steps are: noise and outliers, selection of causes, comparison of the candidates for each place, location of effects
+that no cause explains, correction of the bench, unexplained residual, and record.
 """
 
 from collections import Counter
@@ -56,11 +56,11 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
 from wlr_render.numerics.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 
-_ALIKE = 4.0  # standard errors beyond which neighbours at a station correlate
-_WILD = 10.0  # sigma, from which a reading says nothing of a correction
+_ALIKE = 4.0  # standard errors beyond which neighbours at a station count as correlated
+_WILD = 10.0  # sigma at which residuals are clipped when two corrections are compared
 _SAME_NOISE = 0.1  # change of sigma, or of the shared part, below which causes are not selected again
 _FEWEST_READINGS = 30  # fewest readings of a photograph that tell noise from a smooth effect
-_CONTESTS = 3  # times that another candidate may take a place before the comparison ends
+_CONTESTS = 3  # most rounds of replacing a cause by a better candidate
 
 
 def diagnose(
@@ -125,14 +125,14 @@ def _record(
     corrected: Bench,
     left: Sequence[Unexplained],
 ) -> Diagnosis:
-    """Return the record of a diagnosis, without detection limits and why no further cause was selected."""
+    """Return the record of a diagnosis, without detection limits and without the reason why the selection ended."""
     readings, found, settings = located.search.full, located.found, located.search.settings
     observations, structure = all_readings.observations, located.structure(effects)
     excluded, too_many = _excluded(readings, found, settings)
     before, after = all_readings.residual(Explanation()), all_readings.residual_of_bench(corrected)
     used = ~noise.outlier & not_excluded(observations, excluded)
     motion, count = usual_motion(all_readings, found), int(np.sum(noise.outlier))
-    noise_alone = np.broadcast_to(np.eye(2), (len(observations), 2, 2))  # each axis is independent of the other
+    noise_alone = np.broadcast_to(np.eye(2), (len(observations), 2, 2))  # the two axes are independent
     outliers = [f"{count} single readings lie far from their neighbours and were excluded"] if count else []
     return Diagnosis(
         session=observations.session.name,
@@ -170,7 +170,7 @@ def _record(
 def _excluded(
     readings: WeighedReadings, found: Fit, settings: Settings
 ) -> tuple[tuple[MovedCapture, ...], tuple[MovedCapture, ...]]:
-    """Return the captures that moved, and the captures of parts of which too many moved to tell which did."""
+    """Return the captures that moved, and separately captures of parts where too many moved to identify them."""
     moved = moved_captures(readings, found)
     of_part = Counter(name.part for name in readings.observations.captures)
     moved_of_part = Counter(each.capture.part for each in moved)
@@ -193,14 +193,14 @@ def _verdict(has_causes: bool, effects: Sequence[StationEffect], has_more: bool,
 def _corrected(
     located: Located, fine: FineEffect | None, as_stated: Predictor, settings: Settings
 ) -> tuple[Bench, list[StationEffect]]:
-    """Return the bench with causes and effects at work, and the records of these effects."""
+    """Return the bench with causes and effects applied, and the records of these effects."""
     bench = located.bench(located.found.explanation.bench(as_stated.observations.nominal))
-    # What the functions of a smooth effect leave of it is fine, too.
+    # The remainder of a smooth effect after its functions is also fine.
     if fine is not None or located.effects:
         residual = as_stated.residual_of_bench(bench)
         left = fine_effect(as_stated, residual, settings.least_log10_odds, ROUNDS)
         with_cells = with_fine(bench, left, as_stated, settings.least_log10_odds)
-        # Cells describe the residual of surfaces through photographs; their other changes may make the fit worse.
+        # Cells describe the residual about surfaces through photographs; otherwise they may worsen the prediction.
         if _size(as_stated.residual_of_bench(with_cells)) < _size(residual):
             bench = with_cells
         fine = None if fine is None else left
@@ -208,22 +208,22 @@ def _corrected(
 
 
 def _size(residual: FloatArray) -> float:
-    """Return the rms length of a residual (n, 2), of which wild readings count no more than others."""
+    """Return the rms length of a residual (n, 2), clipped at `_WILD`."""
     return float(np.sqrt(np.nanmean(np.minimum(np.sum(residual**2, axis=1), _WILD**2))))
 
 
 def _prepared(
     as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress
 ) -> tuple[Search, Selection, FineEffect | None]:
-    """Measure the noise and select causes; again, where the residual by these causes shows another noise.
+    """Measure the noise and select causes; repeat both if the residual of these causes shows another noise.
 
     Returns:
-        The search, the selection, and the effect that different captures have in common, if there is one.
+        The search, the selection, and the fine effect common to different captures, if there is one.
     """
     start, spot = Explanation(), None
     done: tuple[Search, Selection, FineEffect | None] | None = None
     while True:
-        # A spot that was there without the explanation: a cause that explains it has its fields as rivals.
+        # Keep the spot that was found without causes: its fields must rival a cause that explains it.
         noise, fine, spot = _noise_left_by(start, as_stated, settings, spot)
         if done is not None:
             if _are_alike(noise, done[0].full.noise):
@@ -244,7 +244,7 @@ def _prepared(
 
 
 def _are_alike(noise: Noise, before: Noise) -> bool:
-    """Return whether causes that were selected with one noise need no new selection with another."""
+    """Return whether two estimates of the noise are so close that causes need not be selected again."""
     now, old = ([floor.shared for floor in each.floors] for each in (noise, before))
     alike = np.allclose(noise.sigma_px, before.sigma_px, rtol=_SAME_NOISE) and np.allclose(now, old, atol=_SAME_NOISE)
     return alike and np.array_equal(noise.outlier, before.outlier)
@@ -253,10 +253,10 @@ def _are_alike(noise: Noise, before: Noise) -> bool:
 def _noise_left_by(
     explanation: Explanation, as_stated: Predictor, settings: Settings, spot: Box | None
 ) -> tuple[Noise, FineEffect | None, Box | None]:
-    """Return the noise in an explanation's residual, without the effect that different captures have in common.
+    """Return the noise in an explanation's residual, without the fine effect common to different captures.
 
     Returns:
-        The noise, the common effect, and `spot`, or without it the spot on the combiner that the common effect shows.
+        The noise, the common effect, and `spot`, or if None the spot on the combiner that the common effect shows.
     """
     residual = as_stated.residual(explanation)
     fine = fine_effect(as_stated, residual, settings.least_log10_odds)
@@ -273,7 +273,7 @@ def _noise_left_by(
 
 
 def _compared(search: Search, found: Fit, first: CandidateRanking) -> tuple[Fit, list[CandidateRanking]]:
-    """Give each place to the cause of highest evidence, the others being as they are; and the candidates for each."""
+    """Return the fit with the best candidate in each place, given the other causes, and the candidates for each."""
     for _ in range(_CONTESTS):
         rankings = _rankings(search, found, first)
         others = [
@@ -290,7 +290,7 @@ def _compared(search: Search, found: Fit, first: CandidateRanking) -> tuple[Fit,
 
 
 def _rankings(search: Search, found: Fit, first: CandidateRanking | None = None) -> list[CandidateRanking]:
-    """Return the candidates for the place of each cause, given the other causes; `first` for a single cause."""
+    """Return the candidates for the place of each cause, given the other causes; for a single cause, `first`."""
     if len(found.explanation.hypotheses) == 1 and first is not None:
         return [first]
     rests = [found.explanation.without(number) for number in range(len(found.explanation.hypotheses))]
@@ -298,9 +298,9 @@ def _rankings(search: Search, found: Fit, first: CandidateRanking | None = None)
 
 
 def _noise_beside(corrected: Bench, as_stated: Predictor, noise: Noise) -> Noise:
-    """Return the noise with a corrected bench at work, with the same outliers.
+    """Return the noise measured with a corrected bench, with the same outliers.
 
-    What a surface through a photograph does not follow of an effect was counted as noise before.
+    Before the correction, noise included the part of an effect that surfaces through photographs do not follow.
     """
     residual = np.nan_to_num(as_stated.residual_of_bench(corrected))
     return replace(noise_of(as_stated.observations, residual), outlier=noise.outlier)
@@ -309,10 +309,10 @@ def _noise_beside(corrected: Bench, as_stated: Predictor, noise: Noise) -> Noise
 def _with_run_time(noise: Noise, located: Located, observations: Observations) -> Noise:
     """Return the noise with the run-time part measured from its residual, if no station explains any of the residual.
 
-    A photograph shows its noise alone; a recording only shows that neighbours correlate at no station.
+    Each photograph shows its noise; for a recording, the only test is that neighbours correlate at no station.
     """
     at_run_time, scatter, contest = observations.part == RUN_TIME, located.scatter, located.contest
-    # The fit never makes noise smaller than stated: at that limit it does not measure the noise.
+    # The fit never makes noise smaller than stated; at that limit it is not a measurement.
     is_measured = at_run_time.sum() >= _FEWEST_READINGS and scatter.noise[RUN_TIME] > 1.0
     if not is_measured:
         return noise
@@ -330,12 +330,12 @@ def _with_run_time(noise: Noise, located: Located, observations: Observations) -
 def _unexplained(
     located: Located, noise: Noise, fine: FineEffect | None, as_stated: Observations, settings: Settings
 ) -> list[Unexplained]:
-    """Return the parts whose residual exceeds noise and repeatability with causes, effects and a fine one at work.
+    """Return the parts whose residual after causes and effects exceeds noise and repeatability.
 
     Args:
-        located: causes and effects.
-        noise: with these at work.
-        fine: the effect that is too fine for a field, if there is one.
+        located: causes and smooth effects.
+        noise: noise measured with these.
+        fine: the effect that is too fine for a field, if any.
         as_stated: all readings, with the noise as stated.
         settings: thresholds.
     """
@@ -345,7 +345,7 @@ def _unexplained(
     for part in np.unique(observations.part):
         floor = before.floor(part)
         error = _variance_error(observations, int(part), floor)
-        # What photographs show within is noise, if a stated noise that is smaller is believed, too.
+        # Noise within photographs counts as noise, even where a smaller stated noise was believable.
         within = max(1.0, float(np.nan_to_num(noise.floor(part).measured_px)) / floor.used_px)
         excess = float((scatter.noise[part] / within) ** 2 - 1.0)
         if fine is not None:
@@ -360,10 +360,10 @@ def _unexplained(
 
 
 def _variance_error(observations: Observations, part: int, floor: NoiseFloor) -> float:
-    """Relative standard error of the noise's variance in a part.
+    """Return the relative standard error of the noise variance of a part.
 
-    Where photographs have too few readings to tell what neighbours share, it may be anything; at run time it is as
-    stated.
+    It is infinite where photographs have too few readings to show the noise that neighbours share. At run time it is
+    the error from the number of readings alone.
     """
     rows = observations.part == part
     few = float(np.sqrt(1.0 / np.sum(rows)))
