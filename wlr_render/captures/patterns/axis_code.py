@@ -1,4 +1,4 @@
-"""Code of one axis of a panel: a Gray code that numbers cells, fringes from long to short, or fringes after a code."""
+"""Code of one axis of a panel: a Gray code that numbers cells, fringes from long to short, or both in this order."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from wlr_render.captures.patterns.phase_steps import FringeAxis, read_fringe
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelContrast, PhotographReader
 from wlr_render.captures.patterns.pixel_rejection import AxisReading
 
-_COARSEST = 3  # most unreadable bits, i.e. cells of 8 panel pixels; a coarser position is useless
+_COARSEST = 3  # most unreadable fine bits, i.e. cells of 8 panel pixels; a coarser position is useless
 
 
 @dataclass(frozen=True)
@@ -20,10 +20,10 @@ class AxisCode:
 
     Attributes:
         length_px: panel pixels along the axis.
-        gray: code of the cells, or None.
+        gray: Gray code of the cells, or None.
         cell_px: width of a cell, panel pixels.
-        fringes: fringes from long to short; the code, or the fringe before it, tells the period of each.
-        far: largest distance of a fringe's position from the position before it, in periods; beyond it they
+        fringes: fringes from long to short; the Gray code or the previous fringe identifies the period of each.
+        far: largest distance of a fringe's position from the previous position, in periods; beyond it, the two
             contradict each other.
     """
 
@@ -34,7 +34,7 @@ class AxisCode:
     far: float = np.inf
 
     def names(self) -> list[str]:
-        """Return the names of its pictures in the order of showing."""
+        """Return the names of the pictures in the order of showing."""
         return self._bit_names() + [name for fringe in self.fringes for name in fringe.names()]
 
     def _bit_names(self) -> list[str]:
@@ -56,7 +56,7 @@ class AxisCode:
         """
         shape, far = light.lit.shape, self.far
         if self.gray is None:
-            # The first fringe covers the panel, so that its phase alone tells the position.
+            # The first fringe covers the panel, so that its phase alone determines the position.
             position, far = np.full(shape, 0.5 * self.length_px), np.inf
             cell_px, blur = np.ones(shape, dtype=np.uint8), np.zeros(shape, dtype=np.float32)
             of_bits = gain = np.full(shape, np.inf, dtype=np.float32)
@@ -69,7 +69,7 @@ class AxisCode:
         of_fringes, contradiction = np.full(shape, np.inf, dtype=np.float32), np.zeros(shape, dtype=np.bool_)
         for fringe in self.fringes:
             phase = read_fringe(fringe, reader, light, np.asarray(position, dtype=np.float64), far)
-            if self.gray is None:  # a code's bits with their inverses show the noise
+            if self.gray is None:  # with a Gray code, the bits and their inverses measure the noise
                 noise.add(phase.steady, light.lit)
             position, gain, far = phase.position, phase.noise_gain, self.far
             contradiction |= phase.is_far

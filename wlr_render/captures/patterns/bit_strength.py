@@ -1,4 +1,4 @@
-"""Contrast of the bits of a Gray code in photographs of it."""
+"""Contrast of the bits of a Gray code in its photographs."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ _WELL_LIT = 0.25  # contrast of well-lit pixels relative to the brightest twenti
 class BitStrength:
     """|picture - inverse| / (white - black) of one bit over well-lit camera pixels.
 
-    Even a perfect bit is faint in pixels on the border of its stripes: few for a coarse bit, many for a fine one.
+    Even a perfect bit is faint in pixels on the borders of its stripes: few pixels of a coarse bit, many of a fine one.
 
     Attributes:
-        name: name of its picture in the pattern, e.g. "u bit 3".
+        name: name of the bit's picture in the pattern, e.g. "u bit 3".
         median, percentile_5, percentile_1: statistics of the strength; 1 is full contrast.
         unsure_share: share of pixels whose strength is below the confidence that decoding requires.
     """

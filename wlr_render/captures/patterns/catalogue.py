@@ -12,9 +12,9 @@ from wlr_render.captures.patterns.phase_steps import FringeAxis, check_fringe
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Panel
 
-_LONGEST = 1.1  # longest period over the panel's length, with a margin for noise at its ends
+_LONGEST = 1.1  # longest period over the panel's length, with a margin for noise at the panel's ends
 _RATIO = 6.0  # largest ratio of successive periods; beyond it the long phase cannot unwrap the short one
-_FAR_FROM_FRINGE = 0.3  # largest disagreement of two fringes, in periods of the shorter one
+_FAR_FROM_FRINGE = 0.3  # largest disagreement of successive fringes, in periods of the shorter one
 _FAR_FROM_CELL = 0.375
 """Largest distance from the middle of a cell in periods: between the cell's end (1/4) and ambiguity (1/2)."""
 
@@ -23,10 +23,10 @@ _FAR_FROM_CELL = 0.375
 class GrayCode(Pattern):
     """Binary-reflected Gray code of columns and rows, each bit followed by its inverse; 46 pictures for 1920 x 1080.
 
-    The shares of two neighbouring panel pixels in a camera pixel follow from the grey value of the bit that changes
-    between them, so that positions are finer than a panel pixel. Where the finest bits cannot be read, the position is
-    known to a cell of 2, 4 or 8 panel pixels, with a larger standard deviation. The code is best if a camera pixel is
-    one to two panel pixels wide, and the camera's grey values are linear in light.
+    Positions are finer than a panel pixel: the grey value of the bit that changes between two panel pixels gives their
+    shares in a camera pixel. Where the finest bits cannot be read, the position is known to a cell of 2, 4 or 8 panel
+    pixels, with a larger standard deviation. The code works best if a camera pixel is one to two panel pixels wide,
+    and the camera's grey values are linear in light.
     """
 
     def axis(self, name: str, length_px: int) -> AxisCode:
@@ -36,7 +36,7 @@ class GrayCode(Pattern):
 
 @dataclass(frozen=True)
 class _FringePattern(Pattern):
-    """Pattern with fringes."""
+    """Base of patterns with fringes."""
 
     period_px: int = 16
     steps: int = 6
@@ -72,8 +72,8 @@ class Fringes(_FringePattern):
 class GrayFringes(_FringePattern):
     """Gray code of half periods, then fringes: 46 pictures for 1920 x 1080.
 
-    A code that is wrong by one cell at the border of two cells still gives the right period, since its middle lies less
-    than half a period away. The pattern is robust where blur removes the finest stripes of a full Gray code.
+    A Gray code that is wrong by one cell at a cell border still identifies the right period, because the middle of that
+    cell is less than half a period away. The pattern works where blur removes the finest stripes of a full Gray code.
 
     Attributes:
         panel: panel of the pattern.

@@ -1,9 +1,9 @@
-"""Binary-reflected Gray code along one axis of a panel: its images, their decoding and order check.
+"""Binary-reflected Gray code along one axis of a panel: images, decoding and order check.
 
-Between neighbouring cells exactly one bit changes, so that a pixel on the border of two cells reads one of the two,
-whatever the value of that bit. At odd-numbered borders the finest bit changes, at even-numbered ones a coarser bit.
+Exactly one bit changes between neighbouring cells, so that a pixel on the border of two cells decodes to one of them,
+whatever the value of that bit. The finest bit changes at odd-numbered borders, a coarser bit at even-numbered ones.
 
-If a bit was exchanged with its inverse, or with another bit, each pair of photographs is still consistent, but the
+If a bit is exchanged with its inverse or with another bit, each pair of photographs is still consistent, but the
 decoded picture is discontinuous. The order with the smallest squared differences between neighbours is the true one.
 """
 
@@ -26,19 +26,19 @@ from wlr_render.captures.patterns.photometry import (
 from wlr_render.captures.patterns.pixel_rejection import BORDER_WIDTH, neighbour_slices
 from wlr_render.errors import BadInputError
 
-_UNMIXED = 0.8  # least share of a pixel filled by one stripe, for which bit + inverse = white + black at any gamma
+_UNMIXED = 0.8  # least strength of a pixel in one stripe, where bit + inverse = white + black at any gamma
 _AROUND, _SURROUNDINGS = 7, 31  # widths of windows, camera pixels
-_ODD_SUM = 0.8  # error of positive + inverse, in contrasts, that reveals a photograph of another bit (ideally 1)
-_ODD_SHARE = 0.2  # share of the lit pixels with such an error
-_FRINGE_SUM = 0.3  # error of the sum, in contrasts: of both signs for two steps of a fringe, of one for a gamma
-_FRINGE_SHARE = 0.1  # share of the well-lit pixels with such an error, for each sign
+_ODD_SUM = 0.8  # error of bit + inverse over contrast that reveals a photograph of another bit, which has 1 in theory
+_ODD_SHARE = 0.2  # least share of lit pixels with such an error
+_FRINGE_SUM = 0.3  # error of bit + inverse over contrast that reveals fringes, if of both signs; a gamma gives one sign
+_FRINGE_SHARE = 0.1  # least share of well-lit pixels with such an error, for each sign
 _CLEAR_CONTRAST = 0.5  # least contrast relative to the usual one; darker pixels are dominated by noise
 _SMOOTH_PX = 3  # width of smoothing windows
 
-_ALONE_GAIN = 3.0  # 2 (positive - middle), over positive - inverse: variances (4 + 2) and 2 of a photograph's
+_ALONE_GAIN = 3.0  # variance ratio of 2 (bit - middle) to bit - inverse: 4 + 2 and 2 photographs' variances
 _READABLE = 0.3  # least evidence of a finer bit that may replace the position from coarser ones
 
-_LINES = 128  # lines of neighbours that are compared along each axis of the picture
+_LINES = 128  # lines along each axis of the picture whose neighbouring pixels are compared
 _STRONG = 0.35  # strength of a reliable bit, relative to full contrast
 _IMPROVED_BELOW = 0.9  # ratio of sums of squared steps below which another order is better
 
@@ -61,7 +61,7 @@ class GrayAxis:
         return (self.cells - 1).bit_length()
 
     def names(self) -> list[str]:
-        """Return the names of its pictures: bits from coarse to fine, each followed by its inverse."""
+        """Return the names of the pictures: bits from coarse to fine, each followed by its inverse."""
         return [f"{self.axis} bit {bit}{inverse}" for bit in reversed(range(self.bits)) for inverse in ("", INVERSE)]
 
     def line(self, index: int) -> NDArray[np.uint8]:
@@ -77,14 +77,13 @@ class GrayReading:
 
     Attributes:
         cell: int32, from 0; may lie beyond the last cell where bits were misread.
-        position: float32, in cells: mean over the pixel's light. Exact if a pixel sees at most one border, and on
-            average over cells for any width up to two cells.
-        cell_size: uint8, 1, or 2, 4, 8 where finer bits cannot be read and the position is known to this number of
-            cells.
-        evidence: 0 to 1, weakest of the bits whose misreading would move the cell by more than `cell_size`, or less
-            where the camera does not resolve the cells.
+        position: float32, in cells: mean position of the pixel's light. Exact if a pixel sees at most one border, and
+            on average over cells for any width up to two cells.
+        cell_size: uint8, resolution of the position in cells: 1, or 2, 4, 8 where finer bits cannot be read.
+        evidence: 0 to 1, strength of the weakest bit whose misreading would move the cell by more than `cell_size`;
+            less where the camera does not resolve the cells.
         noise_gain: as in `AxisReading`, in cells squared.
-        blur: standard deviation of the light that a pixel collects, in cells, averaged over its surroundings.
+        blur: standard deviation, in cells, of the position of a pixel's light, averaged over its surroundings.
     """
 
     cell: NDArray[np.int32]
@@ -130,8 +129,8 @@ def read_gray(
         strength = np.abs(signed)
         usual.insert(0, float(np.mean(strength[light.lit])))
         one = signed > 0
-        # The bit before this one can change at the even border only if this bit is 1, and the earlier candidate only if
-        # this bit is 0; the other of the two would move the cell further.
+        # The previous bit can change at the even border only if this bit is 1, and the earlier candidate only if this
+        # bit is 0; a change of the other would move the cell further.
         evidence = np.minimum(evidence, np.where(one, even, odd))
         even, even_gain = np.where(one, odd, even), np.where(one, odd_gain, even_gain)
         odd, odd_gain = strength, np.full(shape, gain, dtype=np.float32)
@@ -146,7 +145,7 @@ def read_gray(
                 (cell + np.float32(0.5) + offset) * size,
                 np.full(shape, 2**bit, dtype=np.uint8),
                 usable,
-                # Half the difference of two strengths, each with the noise of a difference and of the contrast.
+                # The offset is half the difference of two strengths, each with noise of a difference and the contrast.
                 (0.25 * (even_gain + odd_gain) + offset**2) * size**2,
                 np.clip(2 - _mean_around(even + odd, light.lit, _SURROUNDINGS), 0, 2) / np.float32(BORDER_WIDTH) * size,
             )
@@ -160,7 +159,7 @@ def read_gray(
 
 
 def _read_pair(reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> tuple[Grey, float] | None:
-    """Read the difference (h, w) of a bit and its inverse over the contrast, and its variance over a difference's.
+    """Return bit - inverse over contrast (h, w), and the variance ratio of its numerator to a difference's.
 
     The result is None if both photographs are missing.
     """
@@ -185,7 +184,7 @@ def _take_checked(reader: PhotographReader, light: PanelContrast) -> Grey | None
 
 
 def _check_unread(missing: bool, levels: int, coarsest: int, bits: int, reader: PhotographReader) -> None:
-    """Refuse a gap of whole bits, unless only the finest are missing."""
+    """Refuse missing bits, unless only the finest are missing."""
     first, second = reader.label(reader.taken - 2), reader.label(reader.taken - 1)
     if not missing:
         raise BadInputError(f"A bit coarser than {first} is missing together with its inverse; take it again.")
@@ -202,10 +201,10 @@ def _better(reading: GrayReading, best: GrayReading) -> GrayReading:
 
 
 def _resolved(borders: Grey, lit: NDArray[np.bool_]) -> Grey:
-    """Return (h, w) 0 to 1, how well single cells are resolved, from the summed strengths of both borders of a cell.
+    """Return the resolution of single cells (h, w), 0 to 1, from the summed strengths of both borders of a cell.
 
-    In a pixel w cells wide the sum never falls below 2 / w; where blur removes the finest bit, it does at every other
-    border. The result is 1 up to two cells, and 0 from four on.
+    For a pixel w cells wide, the sum is never below 2 / w, except at every other border where blur removes the finest
+    bit. The result is 1 for up to two cells, and 0 for four or more.
     """
     return np.asarray(np.clip(2 * _mean_around(borders, lit, _AROUND) - 1, 0, 1), dtype=np.float32)
 
@@ -218,7 +217,7 @@ def _mean_around(value: Grey, lit: NDArray[np.bool_], width: int) -> Grey:
 
 
 def _check_pair(steady: Grey, light: PanelContrast, reader: PhotographReader) -> None:
-    """Refuse a bit and its inverse that do not add up to white + black, whichever a pixel sees."""
+    """Refuse a bit and its inverse that do not add up to white + black."""
     off = np.abs(steady) > _ODD_SUM * light.contrast
     share = float(np.mean(off[light.lit]))
     if share > _ODD_SHARE:
@@ -278,7 +277,7 @@ def _check_photograph_order(
 
 
 def _neighbouring_codes(gray: NDArray[np.int32], lit: NDArray[np.bool_]) -> tuple[Codes, NDArray[np.int64]]:
-    """Return the distinct pairs of Gray codes of neighbours, (n, 2), and their counts, (n,)."""
+    """Return the distinct pairs (n, 2) of Gray codes of neighbouring pixels, and their counts (n,)."""
     pairs = []
     for (dx, dy), length in (((1, 0), gray.shape[0]), ((0, 1), gray.shape[1])):
         every = max(1, length // _LINES)
@@ -292,7 +291,7 @@ def _neighbouring_codes(gray: NDArray[np.int32], lit: NDArray[np.bool_]) -> tupl
 
 
 def _other_orders(bits: int) -> Iterator[tuple[Codes, tuple[int, ...]]]:
-    """Yield the Gray codes with one bit inverted or two bits exchanged, and the bits."""
+    """Yield all Gray codes with one bit inverted or two bits exchanged, and the numbers of these bits."""
     codes = np.arange(1 << bits)
     for bit in range(bits):
         yield codes ^ (1 << bit), (bit,)
@@ -302,7 +301,7 @@ def _other_orders(bits: int) -> Iterator[tuple[Codes, tuple[int, ...]]]:
 
 
 def _roughness(gray: Codes, pairs: Codes, count: NDArray[np.int64], cells: int) -> float:
-    """Return the sum of squared steps between neighbours; a cell beyond the last counts as a step of the panel's size.
+    """Return the sum of squared steps between neighbours; a cell off the panel counts as a step of the panel's size.
 
     Args:
         gray: (2**bits,) true Gray code of each code that was read.

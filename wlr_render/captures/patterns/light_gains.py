@@ -1,10 +1,10 @@
-"""Gains by which the panel's light differs from picture to picture of a set, from white photographs taken again.
+"""Gains of the panel's light from picture to picture of a set, estimated with repeated white photographs.
 
-The white photographs tell how the light drifts, by interpolation in time. A picture i and its inverse j tell their own
-gains: of relative light r = (photograph - black) / (white - black), a pixel has r_i / g_i + r_j / g_j = 1 whatever it
-sees. Least squares over many pixels finds both, with the drift as their prior: a blurred pair, which is grey all over,
-tells their mean alone. Light that the panel does not make, such as a lamp in the room, has no gain: where it changes
-the pixels that the panel does not light, the set is refused, and so are whites whose light differs across the picture.
+The white photographs give the drift of the light, by interpolation in time. A picture i and its inverse j give their
+own gains: with the relative light r = (photograph - black) / (white - black), r_i / g_i + r_j / g_j = 1 at every pixel.
+Least squares over many pixels finds both gains, with the drift as their prior, because a blurred pair, grey all over,
+determines only their mean. Light from other sources, such as a lamp in the room, has no gain: a set in which it changes
+the pixels that the panel does not light is refused, and so are whites whose gain varies across the picture.
 """
 
 import re
@@ -19,15 +19,15 @@ from wlr_render.captures.photographs import CodeImage
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_PIXELS = 20_000  # well-lit pixels that gains are taken from
+_PIXELS = 20_000  # number of well-lit pixels for the estimate of gains
 _WELL_LIT = 0.5  # contrast of these pixels relative to the brightest twentieth
-_UNLIT, _LEAST_UNLIT = 0.03, 200  # contrast, in the same unit, of pixels that tell other light, and their least number
+_UNLIT, _LEAST_UNLIT = 0.03, 200  # contrast of unlit pixels, in the same unit, and least number to measure other light
 _OTHER_LIGHT = 0.03  # largest change of other light over the contrast of well-lit pixels
-_BLOCKS, _UNEVEN = 16, 0.03  # bands of rows or columns of the picture, and their largest rms spread of the gain
+_BLOCKS, _UNEVEN = 16, 0.03  # bands of rows or columns of the picture, and largest rms spread of the gain over them
 _FLICKER = 0.1  # prior sigma of a picture's gain about the drift
 _GREY = 0.02  # least sigma of a pixel's relative light: gamma, and light scattered from other pixels
-_COUNTED = 100  # independent pixels, as many as count: neighbours see one stripe
-_OUTLIER = 4.0  # in robust standard deviations
+_COUNTED = 100  # effective number of independent pixels; neighbours see the same stripe
+_OUTLIER = 4.0  # outlier threshold, in robust standard deviations
 _WHITE_AGAIN = "a white photograph taken again"
 
 
@@ -36,12 +36,12 @@ class LightGains:
     """Gains of the pictures of a set.
 
     Attributes:
-        gain: (pictures,) light of each relative to the first white photograph.
+        gain: (pictures,) light of each picture relative to the first white photograph.
         black: (h, w) the black photograph, to which gains do not apply.
-        end_of_scale: value from which a pixel is saturated; it stays so.
+        end_of_scale: value from which a pixel is saturated; it is not scaled.
         drift: (2,) least and largest gain of the white photographs.
         flicker: rms of the gains of pictures about the drift, relative; NaN without a picture with its inverse.
-        unpaired: number of pictures, beside white and black, whose flicker is unknown and stays.
+        unpaired: number of pictures, besides white and black, with unknown flicker, which is not corrected.
     """
 
     gain: FloatArray
@@ -52,16 +52,16 @@ class LightGains:
     unpaired: int
 
     def repaired(self, number: int, image: CodeImage) -> CodeImage:
-        """Return picture `number` (h, w) as the light of the first white photograph would show it, float32."""
+        """Return picture `number` (h, w), float32, scaled to the light of the first white photograph."""
         steady = self.black + (image - self.black) / self.gain[number]
         saturated = image >= self.end_of_scale
-        # A dimmed pixel must not look saturated, nor a saturated one dimmed.
+        # A scaled pixel must not look saturated, and a saturated one must stay saturated.
         steady = np.where(saturated, self.end_of_scale, np.minimum(steady, np.nextafter(self.end_of_scale, 0.0)))
         return np.asarray(steady, dtype=np.float32)
 
     @property
     def note(self) -> str:
-        """Sentence about the repair, and what remains."""
+        """Sentence about the drift and flicker that were corrected, and about uncorrected flicker."""
         low, high = (100.0 * (each - 1.0) for each in self.drift)
         said = f"White photographs taken again differ by {low:+.1f} to {high:+.1f} % from the first"
         said += "" if np.isnan(self.flicker) else f", and the light flickers by {100 * self.flicker:.1f} % rms"
@@ -71,10 +71,10 @@ class LightGains:
 
 @dataclass(frozen=True, eq=False)
 class _Panel:
-    """The first white and black photographs, (h, w), and what they show.
+    """The first black photograph, the contrast of white and black, and the lit and unlit pixels.
 
     Attributes:
-        black, contrast: black, and white less black.
+        black, contrast: (h, w) black, and white - black.
         bright: contrast of the brightest twentieth of the pixels.
         rows: (n,) flat indices of well-lit pixels.
         unlit: (h, w) pixels that the panel does not light.
@@ -88,7 +88,7 @@ class _Panel:
 
     @classmethod
     def of(cls, white: CodeImage, black: CodeImage, end_of_scale: float) -> "_Panel":
-        """Compare both; `BadInputError` if the panel was off."""
+        """Return the panel from its first white and black; `BadInputError` if the panel was off."""
         contrast = white.astype(np.float64) - black
         bright = float(np.percentile(contrast, 95))
         lit = (contrast > _WELL_LIT * bright) & (contrast > 0) & (white < end_of_scale)
@@ -112,7 +112,7 @@ class _Panel:
         return np.asarray(light)
 
     def _require_dark_room(self, change: FloatArray, name: str) -> None:
-        """Refuse a picture that differs from black, by `change` at unlit pixels, more than scattered light does."""
+        """Refuse a picture whose `change` from black at unlit pixels is more than scattered light explains."""
         low, high = np.sort([0.0, np.median(self.contrast[self.unlit])])
         now = float(np.median(change))
         excess = (now - float(np.clip(now, low, high))) / self.bright
@@ -135,10 +135,10 @@ def light_gains(
     """Find the gain of each picture of a set.
 
     Args:
-        pictures: photographs of the pictures; None where one is missing. whites: further photographs of white.
+        pictures: photographs of the pictures; None for a missing one. whites: further photographs of white.
         names: names of the pictures.
-        taken: (pictures,) places of the pictures in the order of taking, -1 of a missing one.
-        taken_white: (whites,) places of `whites` in this order.
+        taken: (pictures,) positions of the pictures in the order of taking; -1 for a missing one.
+        taken_white: (whites,) positions of `whites` in this order.
         end_of_scale: value from which a pixel is saturated.
 
     Raises:
@@ -173,7 +173,7 @@ def light_gains(
 
 
 def _require_even(gain: FloatArray, place: tuple[IntArray, ...]) -> None:
-    """Refuse relative gains (n,) at rows and columns of the picture, `place`, that differ from band to band."""
+    """Refuse relative gains (n,), at rows and columns `place` of the picture, that differ from band to band."""
     for along in place:
         band = along * _BLOCKS // (int(along.max()) + 1)
         middle = [float(np.median(gain[band == number])) for number in np.unique(band)]
@@ -186,7 +186,7 @@ def _require_even(gain: FloatArray, place: tuple[IntArray, ...]) -> None:
 
 
 def inverse_pairs(names: Sequence[str]) -> list[tuple[int, int]]:
-    """Return the numbers of each picture that has an inverse, and of this: bits, and steps half a period apart."""
+    """Return the numbers of each picture and its inverse: bits and their inverses, and steps half a period apart."""
     number = {name: place for place, name in enumerate(names)}
     found = [(place, number[name + INVERSE]) for name, place in number.items() if name + INVERSE in number]
     steps: dict[str, int] = {}
@@ -200,14 +200,14 @@ def inverse_pairs(names: Sequence[str]) -> list[tuple[int, int]]:
 
 
 def _drift(place: IntArray, gain: FloatArray, taken: IntArray) -> FloatArray:
-    """Return the gain (n,) at places of the order of taking, interpolated between the white photographs."""
+    """Return the gain (n,) at positions `taken` in the order of taking, interpolated between white photographs."""
     order = np.argsort(place)
     between = scipy.interpolate.PchipInterpolator(place[order], gain[order])
     return np.asarray(between(np.clip(taken, place[order[0]], place[order[-1]])))
 
 
 def _of_pair(one: FloatArray, other: FloatArray, drift: FloatArray) -> FloatArray:
-    """Return the gains (2,) of a picture and its inverse, relative light (n,) each."""
+    """Return the gains (2,) of a picture and its inverse from the relative light (n,) of each."""
     design, kept = np.stack([one, other], axis=1), np.ones(len(one), dtype=bool)
     prior = 1.0 / drift
     found = prior
@@ -223,7 +223,7 @@ def _of_pair(one: FloatArray, other: FloatArray, drift: FloatArray) -> FloatArra
 
 
 def _near(off: FloatArray) -> BoolArray:
-    """Return whether each residual (n,) is near the others."""
+    """Return the mask (n,) of residuals that are not outliers."""
     middle = np.median(off)
     scatter = max(1.4826 * float(np.median(np.abs(off - middle))), _GREY)
     return np.asarray(np.abs(off - middle) <= _OUTLIER * scatter)

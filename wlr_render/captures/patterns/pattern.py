@@ -1,4 +1,4 @@
-"""Pattern: images shown on a panel, coded axis by axis, and the decoding of their photographs."""
+"""Patterns: images shown on a panel, coded axis by axis, and the decoding of their photographs."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
@@ -19,7 +19,7 @@ from wlr_render.mappings import Panel
 class Pattern(ABC):
     """A code for a whole panel: white, black, the code of u and the code of v; subclasses define the code of one axis.
 
-    Every pattern obeys one law: decoding its pictures gives every panel pixel's centre.
+    Decoding the pictures of any pattern gives the centre of every panel pixel.
 
     Attributes:
         panel: panel of the pattern.
@@ -29,7 +29,7 @@ class Pattern(ABC):
 
     @abstractmethod
     def axis(self, name: str, length_px: int) -> AxisCode:
-        """Return the code of the axis "u" or "v" with `length_px` panel pixels."""
+        """Return the code of axis "u" or "v", `length_px` panel pixels long."""
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the pictures in the order of showing, e.g. "white", "black", "u bit 10"."""
@@ -47,13 +47,13 @@ class Pattern(ABC):
     def decode(self, photographs: Iterable[CodeImage | None], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
         """Decode one photograph per picture, in the order of showing.
 
-        Photographs are read one at a time and not kept, so that the iterable may read them from disk. None means a
-        missing one: decoding can do without a bit or its inverse, one step of a fringe, and white or black if a bit and
-        its inverse follow.
+        Photographs are read one at a time and not kept, so that the iterable may read them from disk. None stands for a
+        missing photograph: decoding can do without a bit or its inverse, one step of a fringe, and white or black if a
+        bit and its inverse follow.
 
         Raises:
             BadInputError: too few or too many photographs, sizes that differ, a set that is over- or under-exposed or
-                not in the order of showing; the sentence names the photograph's number and its picture.
+                not in the order of showing; the message names the photograph's number and its picture.
         """
         reader = PhotographReader(photographs, self.names())
         light = read_light(reader, options)

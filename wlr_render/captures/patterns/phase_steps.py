@@ -1,9 +1,9 @@
-"""Phase-shifted sinusoidal fringes along one axis of a panel: their images, their decoding, and an order check.
+"""Phase-shifted sinusoidal fringes along one axis of a panel: images, decoding and order check.
 
-Phase by the synchronous detection of Bruning et al., "Digital wavefront measuring interferometer", Appl. Opt. 13
-(1974): N equal steps leave the phase untouched by constant light and by harmonics of the fringe up to the order N - 2,
-so that the gamma of panel and camera matters little from six steps on. If the steps are in order, all pixels show one
-waveform, shifted.
+The phase comes from the synchronous detection of Bruning et al., "Digital wavefront measuring interferometer", Appl.
+Opt. 13 (1974): with N equal steps, constant light and harmonics of the fringe up to the order N - 2 do not affect the
+phase, so that the gamma of panel and camera matters little from six steps on. If the steps are in order, all pixels
+show one waveform, shifted.
 """
 
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ from wlr_render.numerics.arrays import FloatArray
 
 _MIN_STEPS, _MIN_PERIOD_PX = 3, 4
 _REVERSED = 0.22
-"""Contrast up to which blur may have reversed fringes: a disc wider than a period leaves 0.13, a square at most
-0.217."""
-_GAP_NOISE = 2.0  # variance with one calculated step relative to all steps, mean over all phases
-_ASKED = 64  # pixels along each side of the picture that test the order of the steps
+"""Contrast up to which blur may have reversed fringes: blur by a disc wider than a period leaves 0.13, by a square at
+most 0.217."""
+_GAP_NOISE = 2.0  # variance with one calculated step over that with all steps, mean over all phases
+_ASKED = 64  # number of pixels along each side of the picture for the test of the order of the steps
 
 _MIN_UNEXPLAINED = 0.02  # least residual mean square relative to the fringe for a test of the order
-_MAX_UNEXPLAINED = 0.3  # largest such residual of a fringe: a third of its light is then another picture's
-_FOREIGN = 2.0  # residual of a foreign step over the mean of all steps; noise gives each the same residual
-_MAX_CONTRADICTING = 0.2  # largest share of the lit pixels that contradict
-_IMPROVED_BELOW = 0.6  # ratio of residuals below which another order is the true one
+_MAX_UNEXPLAINED = 0.3  # largest such residual of a fringe; beyond it, a third of its light is from another picture
+_FOREIGN = 2.0  # residual of a foreign step over the mean of all steps; noise gives all steps the same residual
+_MAX_CONTRADICTING = 0.2  # largest share of lit pixels that contradict the photographs before
+_IMPROVED_BELOW = 0.6  # ratio of residuals below which another order of the steps is the true one
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,11 @@ class FringeReading:
     """Decoded positions of one fringe, all (h, w).
 
     Attributes:
-        position: position with the fringe's phase that is nearest to an approximate one, panel pixels.
+        position: position, panel pixels, with the measured phase; the nearest one to the approximate position.
         is_far: mask of positions that contradict the approximate ones.
-        evidence: amplitude relative to full contrast; 0 where it is so faint that blur may have reversed it.
-        steady: grey values that would be equal for all fringes without noise, with the variance of a difference of two
-            photographs.
+        evidence: amplitude relative to full contrast; 0 where blur may have reversed a faint fringe.
+        steady: grey values that are equal for all fringes except for noise, which has the variance of a difference of
+            two photographs.
         noise_gain: as in `AxisReading`.
     """
 
@@ -98,7 +98,7 @@ def read_fringe(
         reader: reader at the first photograph of the fringe.
         light: light of the set.
         about: (h, w) approximate positions, panel pixels.
-        far: distance from them, in periods, beyond which a position contradicts the photographs before.
+        far: distance from `about`, in periods, beyond which a position contradicts the photographs before.
 
     Raises:
         BadInputError: a photograph is missing, the steps are not in order, or too many pixels contradict the
@@ -130,7 +130,7 @@ def read_fringe(
         alternating += np.float32((-1) ** step) * value
     noise = 1.0
     if missing is not None:
-        # Without the harmonic of order steps / 2, the sum of all steps with alternating signs is zero.
+        # The alternating sum of all steps is zero if the fringe lacks the harmonic of order steps / 2.
         add(missing, np.float32(-((-1) ** missing)) * alternating)
         noise = _GAP_NOISE
     _check_step_order(asked, reader, first)
@@ -148,7 +148,7 @@ def read_fringe(
 
 
 def _check_gap(axis: FringeAxis, missing: int | None, step: int, reader: PhotographReader, first: int) -> None:
-    """Refuse a second missing step, and a missing one of an odd number of steps."""
+    """Refuse a second missing step, and any missing step if the number of steps is odd."""
     if missing is not None:
         raise BadInputError(
             f"{reader.label(first + missing)} and {reader.label(first + step)} are missing; a fringe can do without "
@@ -162,10 +162,10 @@ def _check_gap(axis: FringeAxis, missing: int | None, step: int, reader: Photogr
 
 
 def _check_step_order(values: NDArray[np.float32], reader: PhotographReader, first: int) -> None:
-    """Refuse steps, grey values (steps, n) of some lit pixels, that are not a fringe from photograph `first` on.
+    """Refuse steps from photograph `first` on that are not a fringe; `values` (steps, n) are grey values of lit pixels.
 
     Either an exchange of two steps gives a clearly better fringe, a step does not belong to the others, or the
-    photographs show another code. Three steps make a fringe in any order and are not tested.
+    photographs show another code. Three steps are a fringe in any order and are not tested.
     """
     steps = len(values)
     varying = values.astype(np.float64) - values.mean(axis=0)
@@ -176,7 +176,7 @@ def _check_step_order(values: NDArray[np.float32], reader: PhotographReader, fir
     swaps = list(combinations(range(steps), 2))
     left = [float(np.sum(_unexplained(varying[_swapped(steps, swap)]))) for swap in swaps]
     if min(left) < _IMPROVED_BELOW * as_read:
-        # An exchange at two steps' distance has a twin with a reversed fringe that is equally good.
+        # An exchange of steps that are two apart has a twin that gives an equally good, reversed fringe.
         likely = [swap for swap, rest in zip(swaps, left, strict=True) if rest < 1.2 * min(left) + _MIN_UNEXPLAINED]
         named = ", or ".join(" and ".join(reader.label(first + step) for step in swap) for swap in likely)
         raise BadInputError(f"{named} seem to be exchanged: the fringe is consistent only in that order.")
@@ -196,7 +196,7 @@ def _check_step_order(values: NDArray[np.float32], reader: PhotographReader, fir
 def _check_agreement(
     contradicting: NDArray[np.bool_], light: PanelContrast, reader: PhotographReader, first: int
 ) -> None:
-    """Refuse a fringe from photograph `first` on that contradicts (h, w) the photographs before it."""
+    """Refuse a fringe from photograph `first` on if too many pixels (h, w) contradict the photographs before it."""
     share = float(np.mean(contradicting[light.lit])) if light.lit.any() else 0.0
     if share > _MAX_CONTRADICTING:
         raise BadInputError(

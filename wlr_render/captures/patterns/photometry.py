@@ -1,4 +1,4 @@
-"""Photographs of a set in order, the panel's light in each camera pixel from white and black, and the set's noise."""
+"""Reader of a set's photographs, the panel's light in each camera pixel from white and black, and the set's noise."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ INVERSE = " inverse"
 """Suffix of the name of a bit's inverse picture."""
 _CLEAR = 4.0  # least contrast of a lit pixel, in standard deviations
 _BEYOND = 0.05  # largest number of pixels out of range, relative to the lit ones
-_BOTH_WAYS = 0.2  # ratio of the areas in which either of two pictures is brighter, above which both are codes
+_BOTH_WAYS = 0.2  # ratio of areas where white or black is brighter, above which both are pictures of the code
 _STEADY_PX = 5  # width of windows whose mean has little noise
-_NOISE_WINDOW = 15  # side of windows over which noise is averaged: its sigma is then known to 5 %
+_NOISE_WINDOW = 15  # side of windows over which noise is averaged, which gives its sigma to 5 %
 _ROUNDING = 2 / 12  # variance of the difference of two rounded values
 
 
 class PhotographReader:
-    """Reader of the photographs of a set, in order, one at a time; all have one size.
+    """Reader of the photographs of a set, one at a time and in order; all have the same size.
 
     Photographs are numbered from 0, like `Pattern.image` and the files of `show_page`.
     """
@@ -45,11 +45,11 @@ class PhotographReader:
         return self._peak
 
     def label(self, index: int) -> str:
-        """Return the name of a photograph in messages: photograph 12 ('u bit 5')."""
+        """Return the name of a photograph for messages, such as photograph 12 ('u bit 5')."""
         return f"photograph {index} ('{self._names[index]}')"
 
     def take(self) -> Grey | None:
-        """Return the next photograph, (h, w) float32 grey values; None where the set has a gap.
+        """Return the next photograph, (h, w) float32 grey values; None for a missing one.
 
         Raises:
             BadInputError: no photograph is left, or it has another size or depth than the previous ones.
@@ -125,7 +125,7 @@ def _grey_values(image: CodeImage, label: str) -> CodeImage:
 
 @dataclass(frozen=True, eq=False)
 class PanelContrast:
-    """The panel's contrast in each camera pixel; ambient light is in both references and cancels.
+    """Contrast of the panel in each camera pixel; ambient light is in both references and cancels.
 
     Attributes:
         middle: (h, w) half of white + black.
@@ -191,7 +191,7 @@ def read_light(reader: PhotographReader, options: DecodeOptions) -> PanelContras
 
 
 def _noise_of_dark(contrast: Grey) -> float:
-    """Return the noise of unlit pixels, from negative contrasts, which only noise produces."""
+    """Return the rms noise of unlit pixels, from negative contrasts, which only noise produces."""
     negative = contrast[contrast < 0]
     return float(np.sqrt(np.mean(negative**2))) if negative.size else 0.0
 
@@ -200,7 +200,7 @@ def check_range(image: Grey, light: PanelContrast, reader: PhotographReader) -> 
     """Refuse the last photograph if it does not lie between black and white.
 
     Raises:
-        BadInputError: too many pixels are out of range: a reference shows something else, or the light has changed.
+        BadInputError: too many pixels are out of range, because a reference shows something else or the light changed.
     """
     beyond = np.abs(image - light.middle) > 0.5 * (light.contrast + light.usual_contrast)
     pixels, lit = np.count_nonzero(beyond), np.count_nonzero(light.lit)
@@ -212,13 +212,13 @@ def check_range(image: Grey, light: PanelContrast, reader: PhotographReader) -> 
 
 
 class NoiseMeter:
-    """Variance of photographs from sums that would be equal without noise, by running moments."""
+    """Running variance of the photographs' noise, from grey values that are equal without noise."""
 
     def __init__(self, light: PanelContrast) -> None:
         self._count, self._sum, self._square = (np.zeros(light.contrast.shape, dtype=np.float32) for _ in range(3))
 
     def add(self, steady: Grey, where: NDArray[np.bool_]) -> None:
-        """Add one more sum (h, w) in the mask (h, w), scaled to the variance of a difference of two photographs."""
+        """Add grey values (h, w) in the mask (h, w), scaled to the variance of a difference of two photographs."""
         value = steady * where
         self._count += where
         self._sum += value
@@ -227,7 +227,7 @@ class NoiseMeter:
     def variance(self) -> Grey:
         """Return the variance (h, w) of the difference of two photographs around each pixel, grey values squared.
 
-        The variance of two rounded values is the least result, also where too few sums were added.
+        The result is at least the variance of the difference of two rounded values, also where few values were added.
         """
         excess = self._square - self._sum**2 / np.maximum(self._count, 1)
         freedom = np.maximum(self._count - 1, 0)

@@ -30,23 +30,23 @@ WINDOW = 3
 
 _FLAT: FloatArray = np.ones(WINDOW)
 _RAMP: FloatArray = np.arange(WINDOW, dtype=np.float64) - (WINDOW - 1) / 2
-_RIDGE = 1e-9  # ridge for windows of one row, which have no slope across; without effect on others
+_RIDGE = 1e-9  # ridge for windows of one row, where the slope across is undetermined; without effect on other windows
 
-_CLEAR = 4.0  # least contrast of a lit pixel, in noises of a difference
-_SURE = 2.0  # least evidence, in noises of a difference
+_CLEAR = 4.0  # least contrast of a lit pixel, in sigmas of a difference of photographs
+_SURE = 2.0  # least evidence, in sigmas of a difference of photographs
 _EDGE = 0.5  # least contrast relative to the brightest neighbour; a pixel below it sees past an edge
-_BESIDE_EDGE = 0.3  # least contrast of the darkest neighbour relative to the pixel; below it the pixel is at an edge
+_BESIDE_EDGE = 0.3  # least contrast of the darkest neighbour relative to the pixel; below it, the pixel is at an edge
 _OVERHANG_PX = 0.5  # largest distance outside the panel, for noise
-# Distances from its neighbours that an outlier exceeds: panel pixels, steps and standard deviations.
+# Outlier thresholds, as distances from the neighbours: panel pixels, steps and standard deviations.
 _OUTLIER_PX, _OUTLIER_STEPS, _OUTLIER_SIGMAS = 0.75, 0.5, 4.0
-_VAGUE_PX = 0.25  # largest standard deviation; a larger one could be wrong by a panel pixel
+_VAGUE_PX = 0.25  # largest standard deviation, in cells; with a larger one, a position could be wrong by a panel pixel
 _PIXEL_HARMONICS = (1, 2)
 BORDER_WIDTH = 1.596
 """Width, in standard deviations of the blur, of the gap that a blurred border leaves in the strength of its bit."""
 _WIDE, _WIDE_FROM = 0.21, 0.76  # slope and start of the rms error of cells that are narrower than the blur, in cells
 _LEAST = 0.01  # rms error of counted cells at any blur, in cells
 _BOX = 0.048  # rms error of a pixel without blur that is 1.5 cells wide, in cells
-_NEEDED = 3  # fewest agreeing neighbours; fewer at the border of the picture
+_NEEDED = 3  # fewest agreeing neighbours, except at the border of the picture
 _FEW = 400  # fewest pairs for a test of the order of photographs
 
 
@@ -55,9 +55,9 @@ class LocalFit:
     """Weighted least squares with weight 1 where valid, 0 elsewhere.
 
     Attributes:
-        value: (2, h, w) the plane at the pixel.
-        slope: (2, 2, h, w) its change per camera pixel; slope[i, j] for panel axis i along axis j of the picture (x,
-            y).
+        value: (2, h, w) plane at the pixel.
+        slope: (2, 2, h, w) change of the plane per camera pixel; slope[i, j] for panel axis i along axis j of the
+            picture (x, y).
         gain: (h, w) variance of `value` relative to one position: 1/9 in a full window.
     """
 
@@ -103,18 +103,18 @@ def _sum(image: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatAr
 
 @dataclass(frozen=True, eq=False)
 class AxisReading:
-    """Decoded positions along one axis, each camera pixel alone; all (h, w).
+    """Decoded positions along one axis, without use of neighbouring camera pixels; all (h, w).
 
     Attributes:
         position: panel pixels, finite everywhere.
         noise_gain: variance of the position, panel pixels squared, over the variance of the difference of two
             photographs in units of the contrast.
-        evidence: 0 to 1: weakest evidence that was needed, relative to full contrast.
-        weak: the `Rejection` for evidence that is too weak.
+        evidence: 0 to 1, strength of the weakest bit or fringe used, relative to full contrast.
+        weak: `Rejection` of a pixel with too weak evidence.
         contradiction: mask of contradictions between parts of the code.
         cell_px: uint8, width of the cells whose numbers were read, panel pixels: 1, 2, 4 or 8.
-        blur_px: standard deviation of the light that a pixel collects along the axis, panel pixels; 0 if unknown.
-        is_counted: True if the position is a number of cells, not a phase.
+        blur_px: standard deviation of the position of a pixel's light along the axis, panel pixels; 0 if unknown.
+        is_counted: True if the position comes from a number of cells, not from a phase.
     """
 
     position: FloatArray
@@ -182,7 +182,7 @@ def _rejected_alone(
     options: DecodeOptions,
     panel: Panel,
 ) -> NDArray[np.uint8]:
-    """Return the first rejection (h, w) that applies to each pixel alone; `noise` is relative to the contrast."""
+    """Return each pixel's first rejection (h, w) that needs no neighbours; `noise` is relative to the contrast."""
     u, v = readings
     reasons: tuple[tuple[Mask, Any], ...] = (
         (peak >= light.end_of_scale, Rejection.SATURATED),
@@ -197,7 +197,7 @@ def _rejected_alone(
 
 
 def _partly_lit(contrast: Grey) -> Mask:
-    """Return the mask (h, w) of missing light, where the mean light is not at the pixel's middle."""
+    """Return the mask (h, w) of pixels with part of their light missing, which shifts the mean position."""
     around = np.ones((3, 3), dtype=np.uint8)
     brightest, darkest = cv2.dilate(contrast, around), cv2.erode(contrast, around)
     return np.asarray((contrast < _EDGE * brightest) | (darkest < _BESIDE_EDGE * contrast))
@@ -209,11 +209,11 @@ def _outside(reading: AxisReading, length_px: int) -> Mask:
 
 
 def _cell_structure(slope: FloatArray, reading: AxisReading) -> FloatArray:
-    """Return the variance (h, w) that the panel's cells leave in a window's mean, panel pixels squared.
+    """Return the variance (h, w) in a window's mean due to the panel's cells, panel pixels squared.
 
-    The cell number of a point is its position plus a saw-tooth of period 1, whose harmonic n has the amplitude 1 / (pi
-    n). The light that a pixel gathers reduces it, here by a Gaussian, and so does the mean over the window. A wide
-    pixel sees more than one border; the additional error of counted cells is an empirical fit to blurred Gray codes.
+    The cell number of a point is its position plus a sawtooth of period 1, whose harmonic n has the amplitude 1 / (pi
+    n). The blur of a pixel, here a Gaussian, and the mean over the window reduce the sawtooth. A wide pixel sees more
+    than one border; the additional error of counted cells is an empirical fit to blurred Gray codes.
 
     Args:
         slope: (2, h, w) panel pixels per camera pixel along x and y.
@@ -239,7 +239,7 @@ def _cell_structure(slope: FloatArray, reading: AxisReading) -> FloatArray:
 
 
 def neighbour_slices(dx: int, dy: int) -> tuple[Slices, Slices]:
-    """Return slices of a picture and of the neighbours at (dx, dy) of its pixels; dx is -1, 0 or 1, dy is 0 or 1."""
+    """Return slices of a picture's pixels and of their neighbours at (dx, dy); dx is -1, 0 or 1, dy is 0 or 1."""
     here, there = {0: (slice(None), slice(None)), 1: (slice(None, -1), slice(1, None))}[abs(dx)][
         :: 1 if dx >= 0 else -1
     ]
@@ -248,7 +248,7 @@ def neighbour_slices(dx: int, dy: int) -> tuple[Slices, Slices]:
 
 
 def _typical_step(position: FloatArray, valid: Mask) -> float:
-    """Return the median distance of neighbours on the panel, in panel pixels; 0 without neighbours.
+    """Return the median distance on the panel of neighbouring pixels, in panel pixels; 0 without neighbours.
 
     Args:
         position: (2, h, w) positions.

@@ -1,4 +1,4 @@
-"""Write a folder for showing a code: its pictures, and a page that shows them pixel by pixel on a panel."""
+"""Folder for showing a code: the pictures, and a web page that shows them pixel by pixel on a panel."""
 
 import base64
 import json
@@ -19,9 +19,9 @@ def write_show_page(
 ) -> list[Path]:
     """Write the pictures and the page.
 
-    The page needs no other files. Opened on the panel as an external monitor, it shows picture after picture,
-    one picture pixel on one panel pixel: at a click or a key, or every two seconds as `show.html?seconds=2`. Where a
-    `ShowServer` serves it, it shows the pictures that the server asks for.
+    The page needs no other files. Opened on the panel as an external monitor, it shows the pictures with one picture
+    pixel on one panel pixel. It advances at a click or a key, or every two seconds as `show.html?seconds=2`. Served by
+    a `ShowServer`, it shows the pictures that the server selects.
 
     Args:
         folder: output folder; created if necessary.
@@ -30,8 +30,8 @@ def write_show_page(
         white_every: number of pictures after which white is shown again, and at the end; None for once.
 
     Returns:
-        The pictures in the order of showing, 000_white.png, 001_black.png, ...; without further whites numbered as
-        `Pattern.image` is.
+        Paths of the pictures in the order of showing, 000_white.png, 001_black.png, ...; without further whites, with
+        the numbers of `Pattern.image`.
     """
     numbers: list[int] = []
     for number in range(len(pattern.names())):

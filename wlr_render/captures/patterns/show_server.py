@@ -1,4 +1,4 @@
-"""Server of a code's page on this machine, which selects the picture that the page shows.
+"""Local web server of a code's page, which selects the picture that the page shows.
 
 Ten times a second the page requests the number of the picture and reports the one on the screen. Another program can do
 the same, for a panel that cannot show web pages: `GET /` redirects to `/KEY/show.html`; `GET
@@ -20,11 +20,11 @@ from wlr_render.captures.patterns.show_page import PAGE
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Panel
 
-_ROUNDING_PX = 2  # rounding error of a window's size on a scaled display
+_ROUNDING_PX = 2  # rounding error of the window size on a scaled display
 
 
 class ShowServer:
-    """A server of a folder that `write_show_page` wrote; a context manager.
+    """Web server of a folder from `write_show_page`; a context manager.
 
     Attributes:
         url: address of the page.
@@ -35,7 +35,7 @@ class ShowServer:
 
         Args:
             folder: folder of the page.
-            panel: panel, the least size of the window in pixels.
+            panel: panel, which is the least size of the window in pixels.
             port: port; 0 for any free one.
 
         Raises:
@@ -44,7 +44,7 @@ class ShowServer:
         self._panel = panel
         self._wanted, self._shown, self._window = -1, -1, (0, 0)
         self._changed = threading.Condition()
-        # A part of the address, so that an open page of another code notices the change.
+        # The key is a part of the address, so that an open page of another code notices the change.
         self.key = hashlib.sha256((folder / PAGE).read_bytes()).hexdigest()[:12]
         handler = partial(_Handler, page=self, directory=str(folder))
         try:
@@ -67,7 +67,7 @@ class ShowServer:
         """Wait until the page shows a picture.
 
         Raises:
-            BadInputError: the page does not show it within `timeout_s`; the sentence states the reason.
+            BadInputError: the page does not show it within `timeout_s`; the message states the reason.
         """
         with self._changed:
             self._wanted = number
@@ -96,7 +96,7 @@ class ShowServer:
 
 
 class _Handler(SimpleHTTPRequestHandler):
-    """Request handler of the address `/`, the state, and the files of the folder."""
+    """Request handler for the address `/`, the state, and the files of the folder."""
 
     def __init__(self, *arguments: object, page: ShowServer, directory: str) -> None:
         self._page = page
