@@ -1,4 +1,4 @@
-"""AprilGrids, as Kalibr prints them: AprilTags with gaps between, and a small black square at each tag's corners."""
+"""AprilGrids as printed by Kalibr: AprilTags with gaps, and a small black square at each corner of a tag."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -28,21 +28,21 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 DICTIONARY = "DICT_APRILTAG_36h11"
 _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])  # (column, row) of a tag's corners, clockwise from the top left
-_LEAST_TAGS = 2  # one tag alone does not show the orientation in which the dictionary's tags were printed
+_LEAST_TAGS = 2  # fewest tags; a single tag does not show the orientation in which the tags were printed
 _GROWN = (1.0, 1.07, 1.14, 1.21)
-"""Growth of a detected tag. The small squares touch the tags, so that OpenCV may detect the inner edge of a band along
-the border instead of the border."""
-_SUB_PIXEL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.05)  # steps, pixels: the corner fit refines them
-_CLEARLY = 3.0  # factor by which another order of the tags must fit better to be reported
-_FITTING = 0.02  # error of the right order of the tags without lens distortion, in sides of a tag
-_MOST_COLUMNS = 60  # most columns of boards whose orders are compared
-_USUAL_BORDERS = (2, 1)  # bits: Kalibr's border, and the border of others
+"""Factors by which a detected tag is enlarged. The small squares touch the tags, so that OpenCV may detect the inner
+edge of a band along the border instead of the border."""
+_SUB_PIXEL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.05)  # steps, pixels; refined by the corner fit
+_CLEARLY = 3.0  # factor by which another arrangement of the tags must fit better to be reported
+_FITTING = 0.02  # error of the right arrangement without lens distortion, in sides of a tag
+_MOST_COLUMNS = 60  # most columns of the arrangements that are compared
+_USUAL_BORDERS = (2, 1)  # border widths in bits: Kalibr's, and that of other programs
 _MANY_MORE = 1.5  # factor by which another border must find more tags to be reported
 _OTHER_FAMILIES = ("DICT_APRILTAG_36h10", "DICT_APRILTAG_25h9", "DICT_APRILTAG_16h5")
-_LEAST_OF_OTHERS = 4  # fewest tags of another family that are not chance
+_LEAST_OF_OTHERS = 4  # fewest tags of another family; fewer may be chance
 _LEAST_SPACINGS = 8  # fewest pairs of tags for a median spacing
 _SPACING_ERROR = 0.01  # error of the spacing measured through a lens of 90 degrees
-_MOST_PRINT_ERRORS = 10.0  # standard deviations
+_MOST_PRINT_ERRORS = 10.0  # largest shift of corners by another spacing, in standard deviations of the print
 
 
 _FIRST_TAGS = ("top-left", "bottom-left")
@@ -52,7 +52,7 @@ _SPACING = Rule("the gap between tags over their side, between 0 and 1", lambda 
 
 @dataclass(frozen=True, eq=False)
 class AprilGrid(CellBoard):
-    """A grid of AprilTags 36h11; its features are the tags' corners, so that columns and rows come in pairs.
+    """A grid of AprilTags 36h11; the features are the tags' corners, two columns and two rows for each tag.
 
     Attributes:
         tag_columns, tag_rows: numbers of tags.
@@ -78,7 +78,7 @@ class AprilGrid(CellBoard):
 
     @property
     def gap_m(self) -> float:
-        """Width of the gap between tags; the side of the small squares."""
+        """Width of the gap between tags, and side of the small squares."""
         return self.spacing * self.tag_m
 
     @property
@@ -95,7 +95,7 @@ class AprilGrid(CellBoard):
         )
 
     def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Return the corners (..., 3), board frame, by (column, row), (..., 2): two columns and rows of each tag."""
+        """Return the corners (..., 3), board frame, by (column, row), (..., 2); each tag has two columns and rows."""
         tag, side = np.divmod(np.asarray(index), 2)
         tags = np.array([self.tag_columns, self.tag_rows])
         extent = tags * self.tag_m + (tags - 1) * self.gap_m
@@ -103,18 +103,18 @@ class AprilGrid(CellBoard):
 
     @property
     def _bits(self) -> int:
-        """Side of a tag with its border, in bits."""
+        """Side of a tag with border, in bits."""
         return int(dictionary_of(DICTIONARY).markerSize + 2 * self.border_bits)
 
     def _tag_of(self, number: IntArray) -> IntArray:
-        """Return the (column, row) of tags, (n, 2), from the top left, by number."""
+        """Return the (column, row) of tags by number, (n, 2), from the top left."""
         row, column = np.divmod(number - self.first_id, self.tag_columns)
         return np.stack([column, self.tag_rows - 1 - row if self.first_at_bottom else row], axis=-1)
 
     def _painted(self) -> tuple[FloatArray, BoolArray]:
         dictionary, count = dictionary_of(DICTIONARY), self.tag_columns * self.tag_rows
         corner = self.point_of(self.indices())[:, :2]
-        # The small square at a corner lies diagonally opposite the tag.
+        # The small square touches the tag's corner from diagonally outside.
         low = np.where(self.indices() % 2 == 0, corner - self.gap_m, corner)
         painted, black = [np.concatenate([low, low + self.gap_m], axis=1)], [np.ones(len(low), dtype=bool)]
         numbers = self.first_id + np.arange(count)
@@ -146,7 +146,7 @@ class AprilGrid(CellBoard):
         return observation
 
     def _has(self, numbers: IntArray) -> BoolArray:
-        """Return which tags (n,) belong to this board, by number."""
+        """Return the mask (n,) of the tag numbers that belong to this board."""
         return np.asarray((numbers >= self.first_id) & (numbers <= self._last_id))
 
     @property
@@ -160,17 +160,17 @@ class AprilGrid(CellBoard):
         return pixel[once], numbers[once]
 
     def _corner_indices(self, number: IntArray, turn: int) -> IntArray:
-        """Return the (column, row) of the corners of tags (n,), (4 n, 2), printed with `turn` quarter turns."""
+        """Return the (column, row) of tag corners, (4 n, 2), for tags (n,) printed with `turn` quarter turns."""
         return np.asarray(2 * self._tag_of(number)[:, None, :] + np.roll(_CORNERS, -turn, axis=0)).reshape(-1, 2)
 
     def _places(self, number: IntArray, turn: int) -> FloatArray:
-        """Return the positions (4 n, 2) of these corners, in sides of a tag."""
+        """Return the positions (4 n, 2) of tag corners, in sides of a tag."""
         return self.point_of(self._corner_indices(number, turn))[:, :2] / self.tag_m
 
     def _turned(self, number: IntArray, corners: FloatArray) -> tuple[int, float]:
-        """Return the quarter turns of the printed tags against the dictionary, and the median error of the fit in px.
+        """Return the quarter turns of the printed tags relative to the dictionary, and the fit's median error in px.
 
-        Printers of grids differ in the orientation of tags; the positions of the tags reveal it.
+        Programs that print grids differ in the orientation of the tags; the tags' positions reveal it.
         """
         tried = []
         for turn in range(4):
@@ -182,7 +182,7 @@ class AprilGrid(CellBoard):
         return turn, error
 
     def _refuse_other_design(self, grey: NDArray[np.uint8], numbers: IntArray) -> None:
-        """Refuse another border or other numbers of the detected tags."""
+        """Refuse detected tags with another border width or numbers of another board."""
         on_board = self._has(numbers)
         count, foreign = int(on_board.sum()), numbers[~on_board]
         if len(foreign) > count:
@@ -202,10 +202,10 @@ class AprilGrid(CellBoard):
                 )
 
     def _refuse_other_layout(self, numbers: IntArray, corners: FloatArray, error: float) -> None:
-        """Refuse an arrangement that fits the tags clearly better than this board's.
+        """Refuse tags that another arrangement fits clearly better than this board's.
 
         Args:
-            numbers, corners: (n,) and (n, 4, 2), of the detected tags.
+            numbers, corners: (n,) numbers and (n, 4, 2) corners of the detected tags.
             error: error of this board's arrangement, from `_turned`.
         """
         side = _side(corners)
@@ -239,11 +239,11 @@ class AprilGrid(CellBoard):
     def _refuse_further_tags(
         self, foreign: tuple[FloatArray, IntArray], numbers: IntArray, corners: FloatArray, turn: int
     ) -> None:
-        """Refuse tags with foreign numbers that continue the board's order.
+        """Refuse tags with foreign numbers that continue the board's arrangement.
 
         Args:
             foreign: corners (m, 4, 2) and numbers (m,) of tags that this board lacks.
-            numbers, corners, turn: tags that it has, and the quarter turns of their print.
+            numbers, corners, turn: tags of this board, and their quarter turns.
         """
         if not len(foreign[1]):
             return
@@ -291,17 +291,17 @@ class AprilGrid(CellBoard):
 
 
 def _side(corners: FloatArray) -> float:
-    """Return the usual side of tags, pixels, by their corners (n, 4, 2)."""
+    """Return the median side of tags, pixels, from their corners (n, 4, 2)."""
     return float(np.sqrt(np.median(marker_areas(corners))))
 
 
 def _starts(grey: NDArray[np.uint8], corners: FloatArray, reach: float) -> list[FloatArray]:
-    """Return guesses (4 n, 2) of the corners' pixels: as detected, grown, and refined by OpenCV.
+    """Return initial pixels (4 n, 2) of the corners: as detected, of enlarged tags, and refined by OpenCV.
 
     Args:
         grey: the picture.
         corners: (n, 4, 2) as detected.
-        reach: reach of the fit, in tags.
+        reach: reach of the corner fit, in sides of a tag.
     """
     middle = corners.mean(axis=1, keepdims=True)
     starts = [(middle + grown * (corners - middle)).reshape(-1, 2) for grown in _GROWN]
@@ -313,9 +313,9 @@ def _starts(grey: NDArray[np.uint8], corners: FloatArray, reach: float) -> list[
 
 
 def _measured_spacings(observation: BoardObservation) -> FloatArray:
-    """Return the gap of each pair of neighbouring tags, in sides (n,), from the cross-ratio of their corners.
+    """Return the gap (n,) of each pair of neighbouring tags, in sides of a tag, from the cross-ratio of their corners.
 
-    The cross-ratio of the four corners in a line does not depend on the perspective.
+    The cross-ratio of four corners in a line does not depend on the perspective.
     """
     at = {tuple(index): pixel for index, pixel in zip(observation.index.tolist(), observation.pixel, strict=True)}
     ratios = []

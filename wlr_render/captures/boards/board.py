@@ -23,11 +23,11 @@ RealArray = NDArray[np.floating[Any]]
 
 
 MIRRORED = "the picture is mirrored; photograph the board directly, or switch the camera's mirroring off."
-"""Sentence about a board seen in a mirror."""
+"""Error message for a mirrored picture of a board."""
 
 
 class BoardNotFoundError(BadInputError):
-    """The photograph shows no board, too little of it, or another one; the sentence states the reason."""
+    """Error for a photograph of no board, too little of it, or another board; the message states the reason."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,9 @@ class BoardObservation:
         pixel: (n, 2) positions of the features, camera pixels from the outer corner of the top-left pixel; for a dot
             its *centre*, without the bias of a perspective view of a disc.
         sigma_px: (n,) estimated standard deviation of `pixel` per axis.
-        ambiguous_half_turn: True if the board looks the same after a half turn, so that the indices may belong to the
-            turned board; `half_turned` has the others.
-        discs: discs of dots, from which `pixel` is computed again once the lens is known; None for corners.
+        ambiguous_half_turn: True if the board looks the same after a half turn, so that the indices may be those of the
+            turned board; `half_turned` has the alternative.
+        discs: discs of the dots, from which `pixel` is recomputed once the lens is known; None for corners.
     """
 
     index: IntArray
@@ -72,7 +72,7 @@ class BoardObservation:
     discs: Discs | None = None
 
     def only(self, rows: NDArray[np.bool_]) -> "BoardObservation":
-        """Return some of the features, by mask (n,)."""
+        """Return the features of a mask (n,)."""
         discs = None if self.discs is None else self.discs.only(rows)
         return replace(self, index=self.index[rows], pixel=self.pixel[rows], sigma_px=self.sigma_px[rows], discs=discs)
 
@@ -108,7 +108,7 @@ class Board(ABC):
     """A calibration board: its features, its appearance, and its detection in a photograph.
 
     Attributes:
-        tolerances: tolerances of the print against its file.
+        tolerances: tolerances of the print relative to the board file.
     """
 
     tolerances: BoardTolerances
@@ -177,7 +177,7 @@ class Board(ABC):
 
     @abstractmethod
     def _find(self, image: Photograph) -> BoardObservation:
-        """Return what `find` returns; its errors lack the photograph's name."""
+        """Find the board as in `find`, with errors that lack the photograph's name."""
 
 
 def grid_indices(columns: int, rows: int) -> IntArray:

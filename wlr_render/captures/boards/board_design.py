@@ -1,4 +1,4 @@
-"""Choose the large dots of a board, so that every 5 x 5 window has a unique position and rotation."""
+"""Design of dot boards: a choice of large dots for which every 5 x 5 window has a unique position and rotation."""
 
 import hashlib
 
@@ -45,7 +45,7 @@ def check_sizes(pitch_m: float, large_m: float, small_m: float, margin_m: float)
     """Refuse a board on which large and small dots could not be distinguished.
 
     Raises:
-        BadInputError: the sentence has the sizes in millimetres and the remedy.
+        BadInputError: the message has the sizes in millimetres and the remedy.
     """
     if not 0 < small_m < large_m:
         raise BadInputError(
@@ -69,7 +69,7 @@ def _mm(*lengths_m: float) -> str:
 
 
 def _choose_sizes(columns: int, rows: int, seed: int) -> BoolArray:
-    """Choose sizes dot by dot, row by row, backtracking where both sizes would repeat a window.
+    """Choose the size of each dot, row by row, and backtrack where both sizes would repeat a window.
 
     Raises:
         BadInputError: the board is too large for unique windows.
@@ -99,7 +99,7 @@ def _choose_sizes(columns: int, rows: int, seed: int) -> BoolArray:
 
 
 def _window_ending_at(large: BoolArray, dot: int) -> BoolArray:
-    """Return the window whose last dot, counted row by row, this is; empty for a dot that completes none."""
+    """Return the window with `dot` as its last dot, counted row by row; empty if the dot completes no window."""
     row, column = divmod(dot, large.shape[1])
     if min(row, column) < WINDOW - 1:
         return large[:0, :0]
@@ -107,13 +107,13 @@ def _window_ending_at(large: BoolArray, dot: int) -> BoolArray:
 
 
 def _random_bits(number: int, seed: int) -> BoolArray:
-    """Return bits (number,) that do not depend on the version of a library."""
+    """Return pseudo-random bits (number,) that do not depend on a library's version."""
     stream = hashlib.shake_256(f"two-size dot board {seed}".encode()).digest(number // 8 + 1)
     return np.unpackbits(np.frombuffer(stream, np.uint8))[:number].astype(bool)
 
 
 class _TakenWindows:
-    """The windows on the board so far as integer codes in all 8 orientations, plus all codes at Hamming distance 1.
+    """Windows on the board so far, as integer codes in all 8 orientations, plus all codes at Hamming distance 1.
 
     Two windows differ in `DISTANCE` = 3 sizes or more exactly if no code is within one dot of both, so that the codes
     of different windows never overlap and can be released again.
@@ -127,7 +127,10 @@ class _TakenWindows:
         self._positions = np.array([np.rot90(each, q).ravel() for each in (square, square.T) for q in range(4)])
 
     def take(self, name: int, window: BoolArray) -> bool:
-        """Take a window if it differs enough from all others and from itself turned; an empty window always."""
+        """Take a window if it differs enough from all others and from itself turned; return whether it was taken.
+
+        An empty window is always taken.
+        """
         if not window.size:
             return True
         numbers = window.ravel()[self._positions] @ (1 << np.arange(WINDOW**2))

@@ -17,14 +17,14 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import write_bytes, write_text
 
 _STRIP_MM = 12.0  # height of the strip below the board, for ruler and text
-_EDGE_MM = 5.0  # distance of the ruler from the left edge
+_EDGE_MM = 5.0  # distance of the ruler from the sheet's left edge
 _RULER_TEXT_MM = 20.0  # width of the text to the right of the ruler
 _LEAST_WIDTH_MM = 50.0  # least width of the sheet, for the ruler and text of a tiny board
 _TICK_MM = 3.0  # length of the ruler's ticks
-_LINE_MM = 0.2  # width of lines: every printer draws them
+_LINE_MM = 0.2  # width of lines, which any printer can draw
 _TEXT_MM = 3.0  # height of text, readable at arm's length
 _MM_PER_INCH = 25.4
-_MOST_PIXELS = 400_000_000  # a sheet of A0 at 500 dots per inch
+_MOST_PIXELS = 400_000_000  # most pixels of a PNG: a sheet of A0 at 500 dots per inch
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class _Sheet:
     Attributes:
         width, height: size of the sheet: the board at its top left, a strip below.
         ruler: length of the ruler, whole centimetres.
-        ruler_y: y of its line.
+        ruler_y: y of the ruler's line.
     """
 
     width: float
@@ -44,7 +44,7 @@ class _Sheet:
 
 
 def write_board_svg(board: Board, path: str | Path) -> Path:
-    """Draw a board as SVG, one user unit a millimetre; print it at 100 %."""
+    """Draw a board as SVG with a user unit of one millimetre, to be printed at 100 %."""
     sheet = _sheet(board)
     size = (
         f'width="{sheet.width:.4f}mm" height="{sheet.height:.4f}mm" viewBox="0 0 {sheet.width:.4f} {sheet.height:.4f}"'
@@ -71,7 +71,7 @@ def write_board_svg(board: Board, path: str | Path) -> Path:
 
 
 def write_board_png(board: Board, path: str | Path, dots_per_inch: float = 600.0) -> Path:
-    """Draw a board as a grey PNG with its resolution in it; edges of dots are antialiased.
+    """Draw a board as a grey PNG that states its resolution; edges of dots are antialiased.
 
     Raises:
         BadInputError: the smallest shapes would have under 10 pixels, or the picture would be too large to handle.
@@ -115,7 +115,7 @@ def _sheet(board: Board) -> _Sheet:
 
 
 def _text_mm(sheet: _Sheet, board: Board) -> float:
-    """Return the height of the title's letters that fits the width; letters are about half as wide as high."""
+    """Return the height of letters with which the title fits the width; letters are about half as wide as high."""
     return min(_TEXT_MM, (sheet.width - 2 * _EDGE_MM) / (0.55 * len(board.title)))
 
 

@@ -24,10 +24,10 @@ from wlr_render.io.input_files import LIMITS, prefix_errors, read_text
 from wlr_render.io.toml_files import Table, read_toml, write_toml
 
 KINDS = ("dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-circles")
-"""Values of `kind`."""
+"""Kinds of boards: the values of `kind` in board files."""
 
-_LARGEST_PITCH_MM = 50.0  # largest pitch of a screen's pixels; a video wall's is a tenth of it
-_LARGEST_CIRCLE = 0.85  # diameter over the distance of the nearest circles
+_LARGEST_PITCH_MM = 50.0  # largest pixel pitch of a screen; a video wall has a tenth of it
+_LARGEST_CIRCLE = 0.85  # largest ratio of a circle's diameter to the distance of the nearest circle
 _PITCHES = {"chessboard": "square", "circles": "pitch", "asymmetric-circles": "pitch"}  # default margins by kind
 
 _COMMENT = """A calibration board. Lengths are millimetres as measured on the print:
@@ -45,10 +45,10 @@ def save_board(board: Board, path: str | Path) -> Path:
 
 
 def board_table(board: Board) -> dict[str, Any]:
-    """Return the keys and values of a board's file, lengths in millimetres.
+    """Return the keys and values of a board file, with lengths in millimetres.
 
     Raises:
-        TypeError: the board is of a class without a file form.
+        TypeError: boards of this class have no file format.
     """
     if not isinstance(board, _CLASSES):
         raise TypeError(f"a {type(board).__name__} has no board file")
@@ -61,14 +61,14 @@ def board_table(board: Board) -> dict[str, Any]:
 
 
 def load_board(path: str | Path) -> Board:
-    """Read a board of any kind: dots without a `kind`, a target of Kalibr in a .yaml file.
+    """Read a board of any kind: a dot board if the file has no `kind`, a target of Kalibr if it is a .yaml file.
 
     With `screen = true` the board is shown on a monitor: `pixel_pitch_mm` is the pitch of its pixels, and all lengths
     are given in pixels (`square_px` in place of `square_mm`).
 
     Raises:
         BadInputError: the file is missing or breaks the format of `save_board`, or its features cannot be
-            distinguished; the sentence has the key.
+            distinguished; the message has the key.
     """
     if Path(path).suffix.lower() in _KALIBR_SUFFIXES:
         return board_of_table(_kalibr_target(Path(path)))
@@ -76,14 +76,14 @@ def load_board(path: str | Path) -> Board:
 
 
 def _kalibr_target(path: Path) -> Table:
-    """Return the keys of board.toml for a target of Kalibr: borders of two bits, numbers of inner corners.
+    """Return the keys of board.toml for a target of Kalibr, with tag borders of two bits and numbers of inner corners.
 
     Raises:
         BadInputError: the file is not a target of Kalibr, or the target's kind is not one of `KINDS`.
     """
     kind, remedy = "a target of Kalibr", "write board.toml"
     stated = read_mapping(path, read_text(path, kind, remedy=remedy), kind, remedy)
-    # YAML takes 88e-3 for text.
+    # YAML parses 88e-3 as text.
     numbers = {key: float(value) for key, value in stated.items() if isinstance(value, str) and is_number(value)}
     table = Table(stated | numbers, str(path))
     target = table.text("target_type", choices=_KALIBR_TARGETS)
@@ -140,7 +140,7 @@ def board_of_table(table: Table) -> Board:
 
 
 def _fault(board: Board, unit: str) -> str:
-    """Return what is wrong with a board whose keys fit one by one, and the remedy; "" for a sound board."""
+    """Describe the fault of a board whose keys are valid one by one, with the remedy; "" for a sound board."""
     if isinstance(board, DotBoard | Chessboard | CircleGrid):
         size = f"{board.columns} x {board.rows}"
         if board.columns * board.rows > LIMITS.board_features:

@@ -5,20 +5,20 @@ import numpy as np
 
 from wlr_render.numerics.arrays import FloatArray
 
-_LEAST_POINTS = 4  # points that determine a homography
+_LEAST_POINTS = 4  # fewest points that determine a homography
 
 
 def by_homography(place: FloatArray, pixel: FloatArray, at: FloatArray, method: int = 0) -> FloatArray | None:
-    """Return the pixels (..., 2) of positions `at` (..., 2) by the homography that fits `place` to `pixel` best.
+    """Return the pixels (..., 2) of positions `at` (..., 2), by the best homography from `place` to `pixel`.
 
     Args:
         place: (n, 2) positions on the plane.
-        pixel: (n, 2) their pixels.
+        pixel: (n, 2) pixels of these positions.
         at: (..., 2) further positions.
         method: 0 for least squares, or `cv2.LMEDS`.
 
     Returns:
-        None without a homography: fewer than four points, or points in a line.
+        The pixels; None without a homography, i.e. for fewer than four points, or points in a line.
     """
     homography = cv2.findHomography(place, pixel, method)[0] if len(place) >= _LEAST_POINTS else None
     if homography is None:

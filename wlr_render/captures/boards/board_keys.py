@@ -6,12 +6,12 @@ from typing import Any
 from wlr_render.io.file_records import MM, Key, Place, scaled
 from wlr_render.io.toml_files import Table
 
-_LARGEST_M = 2.0  # largest square, dot or gap: above, lengths are in another unit
+_LARGEST_M = 2.0  # largest square, dot or gap; a larger one is in another unit
 
 
 @dataclass(frozen=True, eq=False)
 class BoardPlace(Place):
-    """Place of a board's file, and the unit of its lengths: millimetres, or pixels ("px") of a monitor, metres."""
+    """Place of a board file, with the name of its unit of length, "mm" or "px" of a monitor, and the unit in metres."""
 
     unit: str = "mm"
     unit_m: float = MM
@@ -19,7 +19,7 @@ class BoardPlace(Place):
 
 @dataclass(frozen=True)
 class BoardLength(Key):
-    """A length of a board under a key with the unit of its file; `least` is in metres."""
+    """Key of a length of a board, whose name ends in the unit of the file; `least` is in metres."""
 
     least: float | None = 5e-5
 
@@ -38,11 +38,11 @@ class BoardLength(Key):
         return self._key(place).read(table, place)
 
     def keys(self, value: Any, place: Place) -> dict[str, Any]:
-        """Return the key of a length."""
+        """Return the key and value of a length in metres."""
         return self._key(place).keys(value, place)
 
 
 MARGIN = BoardLength("margin", least=0)
-"""Form of a margin, which may be 0."""
+"""Key of a margin, which may be 0."""
 MOST_FEATURES = 2000
 """Most rows or columns of features."""

@@ -20,14 +20,14 @@ class _Cells:
 
 
 class CellBoard(Board):
-    """Base of boards that consist of black and white rectangles between grid lines."""
+    """Base class of boards that consist of black and white rectangles between grid lines."""
 
     @abstractmethod
     def _painted(self) -> tuple[FloatArray, BoolArray]:
-        """Return rectangles painted one after the other on a white board.
+        """Return rectangles to be painted on a white board one after the other.
 
         Returns:
-            Left, top, right and bottom of each (k, 4), metres, board frame; and whether it is black (k,).
+            Left, top, right and bottom (k, 4) of each, metres, board frame; and a mask (k,) of the black ones.
         """
 
     @cached_property
@@ -48,8 +48,8 @@ class CellBoard(Board):
         cells = self._cells
         x, y = in_board[..., 0].astype(np.float64), in_board[..., 1].astype(np.float64)
         softness = np.broadcast_to(np.asarray(softness_m, dtype=np.float64), x.shape)
-        # The integral from the corner is bilinear between the lines, so that its differences are exact means; over a
-        # millionth of the board's width they are still far above rounding.
+        # The integral from the corner is bilinear between grid lines, so that its differences give exact means, which
+        # are far above rounding even for a square of a millionth of the board's width.
         side = np.maximum(softness, 1e-6 * (cells.x[-1] - cells.x[0]))
         total = np.zeros((len(cells.y), len(cells.x)))
         area = np.where(cells.white, np.diff(cells.y)[:, None] * np.diff(cells.x), 0.0)
@@ -67,7 +67,7 @@ class CellBoard(Board):
         return np.where(inside, np.where(softness > 0, mean, sharp), np.nan).astype(in_board.dtype)
 
     def svg_shapes(self) -> list[str]:
-        """Return one SVG path of all black cells."""
+        """Return one SVG path with all black cells."""
         cells = self._cells
         x, y = 1e3 * (cells.x - cells.x[0]), 1e3 * (cells.y - cells.y[0])
         runs = []
@@ -75,7 +75,7 @@ class CellBoard(Board):
             change = np.diff(np.concatenate([[0], line.astype(np.int8), [0]]))
             for left, right in zip(np.nonzero(change == 1)[0], np.nonzero(change == -1)[0], strict=True):
                 runs.append(f"M {x[left]:.4f} {y[row]:.4f} H {x[right]:.4f} V {y[row + 1]:.4f} H {x[left]:.4f} Z")
-        # Cells that touch must not show a seam where a viewer smooths their edges.
+        # Antialiasing of a viewer must not leave a seam between cells that touch.
         return [f'<path shape-rendering="crispEdges" d="{" ".join(runs)}"/>']
 
 
@@ -88,7 +88,7 @@ def _integral(cells: _Cells, total: FloatArray, x: FloatArray, y: FloatArray) ->
 
 
 def _lines(places: FloatArray, half: float) -> FloatArray:
-    """Return the distinct positions within the board, ascending; positions within a nanometre are one line."""
+    """Return the distinct positions, clipped to the board, ascending; positions within a nanometre are one line."""
     rising = np.unique(np.clip(places, -half, half))
     return np.asarray(rising[np.concatenate([[True], np.diff(rising) > 1e-9])])
 
@@ -98,7 +98,7 @@ def _nearest(lines: FloatArray, places: FloatArray) -> IntArray:
 
 
 def _between(lines: FloatArray, place: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the line before each position, and the fraction of the way to the next; NaN counts as the first line."""
+    """Return the line before each position and the fraction of the way to the next line; NaN means the first line."""
     place = np.where(np.isfinite(place), _clipped(place, lines), lines[0])
     before = np.clip(np.searchsorted(lines, place, side="right") - 1, 0, len(lines) - 2).astype(np.int64)
     return before, (place - lines[before]) / (lines[before + 1] - lines[before])

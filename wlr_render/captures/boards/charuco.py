@@ -34,10 +34,10 @@ from wlr_render.io.file_records import Key
 from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_LEAST_MARKERS = 4  # fewest markers; fewer may be chance, or fit any homography
-_OTHER_MARKER = 0.2  # difference from the stated side; small markers are detected a pixel larger or smaller
-_FITTING = 0.1  # usual error of the board's markers, in sides of a marker
-_SQUARE_OFF = 0.5  # error of a marker in another square, in sides of a marker
+_LEAST_MARKERS = 4  # fewest markers; fewer may be false detections, or fit any homography
+_OTHER_MARKER = 0.2  # largest relative error of a marker's side; small markers are detected a pixel too large or small
+_FITTING = 0.1  # largest median error of the board's own markers, in sides of a marker
+_SQUARE_OFF = 0.5  # least error of a marker in another square, in sides of a marker
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +114,7 @@ class CharucoBoard(CellBoard):
         corners, ids, *markers = cv2.aruco.CharucoDetector(board).detectBoard(grey)
         marker, numbers = markers_of_opencv(*markers)
         if (ids is None or not len(ids)) and self._lie_as_here(marker, numbers):
-            # OpenCV's check mistakes the distances in a steep view for another board.
+            # In a steep view, OpenCV's check of distances takes the board for another one.
             how = cv2.aruco.CharucoParameters()
             how.checkMarkers = False
             corners, ids, _, _ = cv2.aruco.CharucoDetector(board, how).detectBoard(grey)
@@ -125,7 +125,7 @@ class CharucoBoard(CellBoard):
         return _Detected(np.stack([column, row], axis=-1), pixel, marker, numbers)
 
     def _lie_as_here(self, marker: FloatArray, numbers: IntArray) -> bool:
-        """Return whether the homography of this board's marker positions fits their corners (m, 4, 2)."""
+        """Return whether one homography maps this board's markers to all detected corners (m, 4, 2)."""
         on_board = numbers < len(self._opencv.getIds())
         if on_board.sum() < _LEAST_MARKERS:
             return False
@@ -136,11 +136,11 @@ class CharucoBoard(CellBoard):
             return False
         side = np.sqrt(marker_areas(detected))
         off = np.linalg.norm(expected - detected, axis=-1).max(axis=1)
-        # With the other pattern, or other numbers of squares, some rows fit; the others are off by a square or more.
+        # With the other pattern, or other numbers of squares, some rows fit; others are off by a square or more.
         return bool(np.median(off / np.maximum(side, 1e-9)) < _FITTING and np.all(off < _SQUARE_OFF * side))
 
     def _other_sizes(self, detected: "_Detected") -> str | None:
-        """Describe further rows, or another size of the markers, than this board has; None if they fit."""
+        """Describe rows beyond this board's, or another size of its markers; None if all fits."""
         last = len(self._opencv.getIds()) - 1
         if len(detected.numbers) and (highest := int(detected.numbers.max())) > last:
             # An even number of further rows keeps the colours of the squares.

@@ -1,4 +1,4 @@
-"""Chessboards: detected as a whole, by OpenCV; a board of another size than stated is refused."""
+"""Chessboards, detected as a whole by OpenCV; a board of another size than stated is refused."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -27,11 +27,11 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 _SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _QUADS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-_LEAST_HALVED_PX = 200  # smaller pictures are not halved
-_WITHIN = (0.2, 0.5, 0.8)  # positions at which a square's colour is read, in sides
-_ALTERNATING = 0.9  # share of these positions that must have the colour of a chessboard
-_BEYOND, _ASIDE = 1.3, 0.3  # positions that are searched for squares beyond the board: cells from the outer corners
-_ALIKE = 0.5  # share of the board's contrast, and of the positions along a side, that make a further row
+_LEAST_HALVED_PX = 200  # least side of a picture that is halved
+_WITHIN = (0.2, 0.5, 0.8)  # positions at which a square's colour is sampled, in sides of the square
+_ALTERNATING = 0.9  # least share of these positions with the colour of a chessboard
+_BEYOND, _ASIDE = 1.3, 0.3  # positions searched for squares beyond the board, in cells from the outer corners
+_ALIKE = 0.5  # least contrast of a further row, as a share of the board's
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class Chessboard(CellBoard):
         if _cross(grid) < 0:
             grid = grid[:, ::-1]
         if not self.half_turn_symmetric and _first_is_light(image, grid):
-            # The square after the first corner must be black, as the one at the top left is.
+            # The square after the first corner must be black, like the one at the top left.
             grid = grid[::-1, ::-1]
         sides = _sides_with_more(image, grid)
         if sides:
@@ -120,9 +120,9 @@ class Chessboard(CellBoard):
         )
 
     def _detect(self, grey: NDArray[np.uint8]) -> Iterator[FloatArray]:
-        """Yield pixels (rows, columns, 2) from outer corners, by one detector after the other."""
+        """Yield the pixels (rows, columns, 2) found by each detector, from the picture's outer corner."""
         shape = (self.columns, self.rows)
-        # Pictures of wide lenses, and blurred ones, may be readable only at half their size.
+        # Blurred pictures, and those of wide lenses, may be readable only at half their size.
         for scale in (1, 2):
             if scale > 1:
                 if min(grey.shape) < _LEAST_HALVED_PX:
@@ -145,7 +145,7 @@ def _cross(grid: FloatArray) -> float:
 
 
 def _cells(image: Photograph, grid: FloatArray) -> FloatArray:
-    """Return nine grey values on each square between four corners, (rows - 1, columns - 1, 9)."""
+    """Return nine grey values of each square between four corners, (rows - 1, columns - 1, 9)."""
     samples = []
     for down in _WITHIN:
         for right in _WITHIN:
@@ -163,10 +163,10 @@ def _first_is_light(image: Photograph, grid: FloatArray) -> bool:
 
 
 def _alternates(image: Photograph, grid: FloatArray) -> bool:
-    """Return whether the squares between the corners are plain, and alternately black and white."""
+    """Return whether the squares between the corners are uniform, and alternately black and white."""
     cells = _cells(image, grid)
     middle = np.median(cells, axis=-1)
-    # A window three squares wide has a near balance of black and white, also with mirrored edges.
+    # Black and white are nearly balanced in a window three squares wide, also with mirrored edges.
     threshold = scipy.ndimage.uniform_filter(middle, 3, mode="mirror")
     row, column = np.indices(middle.shape)
     light = (cells > threshold[..., None]) == ((row + column) % 2 == 0)[..., None]
@@ -181,17 +181,17 @@ def _sides_with_more(image: Photograph, grid: FloatArray) -> list[str]:
 
 
 def _goes_on(image: Photograph, grid: FloatArray) -> bool:
-    """Return whether squares alternate before the first line of a grid (lines, along, 2) as they do behind it.
+    """Return whether squares alternate before the first line of a grid (lines, along, 2) as they do after it.
 
-    The test compares the steps across the grid lines at each corner within the outermost squares, and one square
-    farther out, where a board of the right size is plain.
+    The test compares the grey steps across the grid lines at each corner, within the outermost squares and one square
+    farther out, where a board of the right size has none.
     """
     inside = _steps(image, _extended(grid, -_ASIDE))
     beyond = _steps(image, _extended(grid, -_BEYOND))
     usable = np.isfinite(beyond) & np.isfinite(inside)
     if usable.sum() < 2:
         return False
-    # Beyond the line, black and white are exchanged; off a chessboard the signs are random or the steps small.
+    # Beyond the line, black and white are exchanged; off the chessboard, the signs are random or the steps are small.
     strength = -beyond[usable] * np.sign(inside[usable]) / np.median(np.abs(inside[usable]))
     return bool(np.median(strength) > _ALIKE)
 
