@@ -1,4 +1,4 @@
-"""Grids of equal dark circles, in rows or staggered: detected as a whole."""
+"""Grids of equal dark circles, in rows or staggered, detected as a whole."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -25,8 +25,8 @@ from wlr_render.captures.photographs import Photograph
 from wlr_render.io.file_records import ELSEWHERE, Key
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_TRIES = 3  # number of lattices, the largest first, that are compared with the grid
-_OTHER_DIAMETER = 1.5  # ratio to the stated diameter; a radius is 2 times off
+_TRIES = 3  # number of largest lattices that are compared with the grid
+_OTHER_DIAMETER = 1.5  # largest ratio to the stated diameter; a radius stated as diameter has 2
 _QUARTER = np.array([[0, 1], [-1, 0]])
 
 
@@ -36,13 +36,13 @@ class CircleGrid(Board):
 
     Attributes:
         columns: circles in a row.
-        rows: numbers of rows.
+        rows: number of rows.
         pitch_m: distance of neighbouring rows and, in a grid that is not staggered, of columns. In a staggered grid
             (OpenCV's asymmetric one) the circles of a row have twice this distance, and every second row, from the
             second on, is shifted right by the pitch.
         diameter_m: diameter of a circle.
         margin_m: white from the outermost circles' centres to the edge.
-        staggered: every second row is shifted.
+        staggered: True if every second row is shifted.
         tolerances: tolerances of the print.
     """
 
@@ -56,7 +56,7 @@ class CircleGrid(Board):
 
     @property
     def _extent(self) -> IntArray:
-        """Width and height between outermost centres (2,), in pitches."""
+        """Width and height (2,) between the outermost centres, in pitches."""
         width = 2 * self.columns - 1 if self.staggered else self.columns - 1
         return np.array([width, self.rows - 1])
 
@@ -77,7 +77,7 @@ class CircleGrid(Board):
         return not self.staggered or self.rows % 2 == 0
 
     def _pitches(self, index: NDArray[np.integer]) -> IntArray:
-        """Return the positions (..., 2) in pitches from the top left."""
+        """Return the positions (..., 2), in pitches, from the top left."""
         index = np.asarray(index, dtype=np.int64)
         if not self.staggered:
             return np.asarray(index, dtype=np.int64)
@@ -130,8 +130,8 @@ class CircleGrid(Board):
             if shape is None:
                 continue
             keep = whole[rows]
-            # Blur takes contrast from small circles: the area lies between the values for black and for the measured
-            # contrast.
+            # Blur reduces the contrast of small circles: their area lies between the values for black and for the
+            # measured contrast.
             black = measured.darkness_px2[dot[keep]] / shape.cell_px2
             least_m, most_m = (
                 unit * float(np.sqrt(4 / np.pi * np.median(area)))
@@ -161,7 +161,7 @@ class CircleGrid(Board):
         """Return the index (n, 2) and the lattice's dot (n,) of each circle; None if the grid does not fit.
 
         Raises:
-            BoardNotFoundError: more circles than the grid's are in line with it.
+            BoardNotFoundError: further circles continue the grid.
         """
         index = self.indices()
         shifted = np.rint(self._pitches(index) @ self._lattice).astype(np.int64)

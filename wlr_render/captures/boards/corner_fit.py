@@ -1,8 +1,8 @@
 """Sub-pixel positions of chessboard corners: a model of two blurred edges that cross, fitted to the grey values.
 
 The model is (b + b_x x + b_y y) + (a + a_x x + a_y y) erf(e_1 / (sqrt(2) s)) erf(e_2 / (sqrt(2) s)), where e_1 and e_2
-are the distances from the two edges and s is the blur: the model has uneven light and defocus, so that neither shifts
-the corner. The sigma comes from the residual grey values and from the model's derivatives by the position.
+are the distances from the two edges and s is the blur. It includes uneven light and defocus, so that neither shifts
+the corner. Sigma comes from the residual grey values and the derivatives of the model with respect to the position.
 """
 
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
-_FIRST_BLUR_PX = 0.8  # blur from which the fit starts: a sharp photograph's
-_LEAST_BLUR_PX = 0.25  # least blur: the standard deviation of a square pixel is 0.29 px
+_FIRST_BLUR_PX = 0.8  # initial blur of the fit, that of a sharp photograph
+_LEAST_BLUR_PX = 0.25  # least blur; the standard deviation of a square pixel is 0.29 px
 _REACH_PART = 0.42  # half width of the window, in cells
-_LEAST_REACH_PX, _LEAST_REACH_PART = 4.0, 0.7  # least half width, limited in cells to exclude other corners
-_MOST_REACH_PX = 8.0  # largest half width: beyond it, edges are curved
-_GUARD_BLURS = 2.5  # unread distance from another shape, in blurs
-_LEAST_MARGIN = 0.5  # least share of the margin that is read
-_STEPS = 20  # most steps of a fit; what takes more is no corner
-_CONVERGED_PX = 1e-4  # last step: a fiftieth of the error without noise
-_MOST_SHIFT_PART = 0.5  # largest shift of a fit in half widths of the window; a larger one is another feature
+_LEAST_REACH_PX, _LEAST_REACH_PART = 4.0, 0.7  # least half width; the limit in cells excludes other corners
+_MOST_REACH_PX = 8.0  # largest half width; beyond it, edges are curved
+_GUARD_BLURS = 2.5  # width of the unused margin around another shape, in blurs
+_LEAST_MARGIN = 0.5  # least share of the distance to another shape that is used
+_STEPS = 20  # most steps of a fit; a feature that takes more is no corner
+_CONVERGED_PX = 1e-4  # last step of a converged fit, a fiftieth of the error without noise
+_MOST_SHIFT_PART = 0.5  # largest shift in half widths of the window; a larger one leads to another feature
 _LEAST_PIXELS = 20  # fewest pixels of a fit, about twice its 11 unknowns
 _LEAST_CONTRAST = 3.0  # least half step from black to white, in standard deviations of a pixel
 _QUANTUM_VARIANCE = 1.0 / 12.0  # variance of rounding to whole grey values
@@ -41,7 +41,7 @@ def fit_corners(
 
     Args:
         image: (h, w) grey.
-        start: (n, 2) pixels, from the outer corner of the top-left pixel.
+        start: (n, 2) initial pixels, from the outer corner of the top-left pixel.
         slope: (n, 2, 2) pixels (rows) per cell (columns); the edges run along the columns.
         reach: distance in cells around a corner within which only its two edges are visible.
         white_margin: distance in cells from the edges into the light quadrants to another shape (the marker of a
@@ -57,7 +57,7 @@ def fit_corners(
     usable = np.abs(np.linalg.det(slope)) > 1e-3
     usable[usable] &= np.isfinite(start[usable]).all(axis=-1)
     across = np.zeros(number)
-    # Distance of the parallels of an edge, pixels.
+    # Distance between opposite edges of a cell, pixels; the smaller of two.
     across[usable] = 1.0 / np.linalg.norm(np.linalg.inv(slope[usable]), axis=2).max(axis=1)
     reach_px = np.minimum(
         np.maximum(_REACH_PART * across, np.minimum(_LEAST_REACH_PX, _LEAST_REACH_PART * across)), _MOST_REACH_PX
@@ -73,7 +73,7 @@ def fit_corners(
 
 @dataclass(frozen=True, eq=False)
 class _Window:
-    """Grey values (m, p) around m corners at x, y (m, p) from their starts, and a mask of the values that are read.
+    """Grey values (m, p) around m corners at x, y (m, p) from the initial position, and a mask of usable values.
 
     `near_edges` is the distance (m, p) from the nearer edge, `margin_px` (m,) the distance of other shapes from it.
     """
@@ -107,7 +107,7 @@ class _Window:
         along = inverse[:, :, :1] * x[:, None, :] + inverse[:, :, 1:] * y[:, None, :]  # (m, 2, p) cells
         read = (np.abs(along) <= reach[:, None, None]).all(axis=1)
         read &= (u >= 0) & (v >= 0) & (u < width) & (v < height)
-        # Distance, in pixels, from the nearer edge: a shape deep in a light quadrant may be a marker.
+        # Distance, in pixels, from the nearer edge, because a shape deep in a light quadrant may be a marker.
         per_px = np.linalg.norm(inverse, axis=2)[:, :, None]
         near = np.abs(along / per_px).min(axis=1)
         margin = np.full(len(start), np.inf) if white_margin is None else white_margin / per_px[:, :, 0].max(axis=1)
@@ -115,9 +115,9 @@ class _Window:
 
 
 def _fit(window: _Window, start: FloatArray, slope: FloatArray, reach_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Fit positions and sigmas of m corners by damped Gauss-Newton steps that solve for the light."""
+    """Fit the positions of m corners by damped Gauss-Newton steps with the light solved for; return also the sigmas."""
     count = len(start)
-    # place x, y; angles of the edges along the slope's columns; log of the blur
+    # columns: position x, y; angles of the edges along the slope's columns; log of the blur
     state = np.zeros((count, 5))
     state[:, 2] = np.arctan2(slope[:, 1, 0], slope[:, 0, 0])
     state[:, 3] = np.arctan2(slope[:, 1, 1], slope[:, 0, 1])
@@ -155,7 +155,7 @@ def _fit(window: _Window, start: FloatArray, slope: FloatArray, reach_px: FloatA
 
 
 def _readable(window: _Window, blur_px: FloatArray) -> BoolArray:
-    # Shapes beyond the margin are the same in both light quadrants, so that a little of their blur does no harm.
+    # Shapes beyond the margin are equal in both light quadrants, so that a little of their blur does no harm.
     allowed = np.maximum(window.margin_px - _GUARD_BLURS * blur_px, _LEAST_MARGIN * window.margin_px)
     return window.read & (window.near_edges < allowed[:, None])
 
@@ -178,7 +178,7 @@ class _Linearised:
         x, y = window.x - state[:, :1], window.y - state[:, 1:2]
         blur = np.exp(state[:, 4:])
         (cos_1, sin_1), (cos_2, sin_2) = ((np.cos(state[:, k : k + 1]), np.sin(state[:, k : k + 1])) for k in (2, 3))
-        # Next to the first axis' edge the second axis has one sign, and vice versa.
+        # Next to the first edge, the distance from the second edge has one sign, and vice versa.
         side = np.sign(cos_1 * sin_2 - sin_1 * cos_2)
         from_1, from_2 = side * (cos_1 * y - sin_1 * x), side * (sin_2 * x - cos_2 * y)
         edge_1, edge_2 = (scipy.special.erf(each / (np.sqrt(2.0) * blur)) for each in (from_1, from_2))
@@ -187,7 +187,7 @@ class _Linearised:
         )
         cross = edge_1 * edge_2
         weight = read.astype(np.float64)
-        # One column for each unknown of the light: its plane, and the plane of the contrast.
+        # One column for each unknown of the light: the plane of brightness and the plane of contrast.
         light = np.stack([np.ones_like(x), x, y, cross, x * cross, y * cross], axis=-1) * weight[..., None]
         transposed = np.swapaxes(light, 1, 2)
         normal = transposed @ light
@@ -196,7 +196,7 @@ class _Linearised:
         solved = inverse @ (transposed @ grey)
         left = (grey - light @ solved)[..., 0]
         strength = solved[:, 3] + solved[:, 4] * x + solved[:, 5] * y
-        by_1, by_2 = strength * steep_1 * edge_2, strength * edge_1 * steep_2  # slopes by from_1 and from_2
+        by_1, by_2 = strength * steep_1 * edge_2, strength * edge_1 * steep_2  # derivatives by from_1 and from_2
         slopes = (
             np.stack(
                 [

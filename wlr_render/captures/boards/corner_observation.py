@@ -1,4 +1,4 @@
-"""From rough positions of a board's corners to an observation: sub-pixel fit, and rejection of outliers."""
+"""Observation of a board from rough positions of its corners: sub-pixel fit, and rejection of outliers."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ from wlr_render.captures.boards.lattice_shape import lattice_shape, smooth_rows
 from wlr_render.captures.photographs import Photograph
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_LEAST_FOR_OUTLIERS = 9  # fewest corners for a rejection; fewer do not show which of them is wrong
+_LEAST_FOR_OUTLIERS = 9  # fewest corners for a rejection; fewer do not show which corner is wrong
 _MOST_DEPARTURE = 0.1  # largest median distance of corners from their neighbours' prediction, in sides of a cell
 LEAST_CORNERS = 4  # fewest corners that determine a pose
 
@@ -25,7 +25,7 @@ def observe_corners(
     reach: float = 1.0,
     white_margin: float | None = None,
 ) -> BoardObservation:
-    """Return the observation of corners from positions accurate to about a pixel; other shapes are rejected.
+    """Refine corners from positions accurate to about a pixel, and reject other shapes.
 
     Args:
         image: (h, w) grey.
@@ -61,7 +61,7 @@ def observe_corners(
 def _smooth(place: FloatArray, pixel: FloatArray) -> IntArray:
     """Return the rows of corners that agree with the prediction from their neighbours.
 
-    With few, large cells perspective exceeds a smooth map of third order: then the corners are compared with the best
+    Maps of third order cannot describe the perspective of few, large cells: the corners are then compared with the best
     homography, whose residual must be smooth. A very wide lens has no homography.
     """
     tried = [smooth_rows(place, pixel, _LEAST_FOR_OUTLIERS)[0]]
@@ -76,7 +76,7 @@ def _smooth(place: FloatArray, pixel: FloatArray) -> IntArray:
 def _departure(place: FloatArray, pixel: FloatArray) -> float:
     """Return the median distance of corners from their neighbours' prediction, in sides of a cell.
 
-    The prediction is a smooth map, or a homography for few corners: lenses distort the picture of a plane.
+    The prediction is a smooth map, because lenses distort the picture of a plane, or a homography for few corners.
     """
     areas = [max(float(np.linalg.det(np.cov(each.T))), 1e-12) for each in (pixel, place)]
     cell = float(np.sqrt(np.sqrt(areas[0] / areas[1])))

@@ -1,8 +1,8 @@
-"""The two-size dot board: large and small dots on a square grid; every patch is unique.
+"""Two-size dot board: large and small dots on a square grid, in which every patch is unique.
 
 A smooth map around each dot (`lattice_shape`) predicts the position of the dot, the size of a lattice cell there, and
-the offset between the centre of a disc's image and the image of the disc's centre. Which part of the board a lattice of
-dots shows is found by comparison of sizes at all positions and rotations.
+the offset between the centre of a disc's image and the image of the disc's centre. A comparison of dot sizes at all
+positions and rotations identifies the part of the board that a lattice of dots shows.
 """
 
 import math
@@ -30,8 +30,8 @@ from wlr_render.captures.photographs import Photograph
 from wlr_render.io.file_records import Key, Quantity, Rule
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_TRIES = 3  # number of lattices, the largest first, that are compared with the board
-_LARGE_ARE_DARKEST = 75  # percentile of nearby contrasts: about the median of the large dots, which are blurred least
+_TRIES = 3  # number of largest lattices that are compared with the board
+_LARGE_ARE_DARKEST = 75  # percentile of nearby contrasts, about the median of the large dots, which blur affects least
 
 
 _SIZES = Quantity(
@@ -42,8 +42,8 @@ _ROWS = Rule(
     "texts of equal length, one per row of dots, of 1 for large and 0 for small, both of which occur",
     lambda rows: len({len(row) for row in rows}) == 1 and set("".join(rows)) == {"0", "1"},
 )
-_LEAD = 3  # dots by which the best position must be better than the second best: two misread dots cannot bridge it
-_CHANCE = 2e-3  # largest probability that dots of random sizes fit the board somewhere equally well
+_LEAD = 3  # least lead of the best position over the second best, in dots; two misread dots cannot make it up
+_CHANCE = 2e-3  # largest probability that random dots fit somewhere on the board equally well
 _QUARTER = np.array([[0, 1], [-1, 0]])
 _MIRROR = np.array([[0, 1], [1, 0]])
 _WAYS = [mirror @ np.linalg.matrix_power(_QUARTER, q) for mirror in (np.eye(2, dtype=int), _MIRROR) for q in range(4)]
@@ -126,7 +126,7 @@ class DotBoard(Board):
     def _find(self, image: Photograph) -> BoardObservation:
         """Find and identify the dots in a photograph.
 
-        Dots of another size than printed, or off the lattice of their neighbours, are left out.
+        Dots whose size differs from the print, or that are off the lattice of their neighbours, are left out.
         """
         dots = find_dots(image)
         lattices = link_lattices(dots)
@@ -173,7 +173,7 @@ def _smooth_part(lattice: DotLattice, measured: MeasuredDots) -> tuple[DotLattic
 
 
 def _large(measured: MeasuredDots, dot: IntArray, shape: LatticeShape, board: DotBoard) -> BoolArray:
-    """Return the mask (k,) of large dots, by area over the area of a lattice cell, which no view changes."""
+    """Return the mask (k,) of large dots, by area relative to a lattice cell, a ratio that no view changes."""
     contrast = measured.contrast[dot]
     nearby = np.concatenate([contrast[:, None], contrast[shape.neighbour]], axis=1)
     area: FloatArray = measured.darkness_px2[dot] / np.percentile(nearby, _LARGE_ARE_DARKEST, axis=1)
@@ -223,9 +223,9 @@ def identify(index: IntArray, is_large: BoolArray, board_large: BoolArray) -> In
 
 
 def _disagreeing(turned: IntArray, is_large: BoolArray, board_large: BoolArray) -> IntArray:
-    """Return the number (row shifts, column shifts) of dots that differ from the board's, or are off the board.
+    """Return the number (row shifts, column shifts) of dots that differ from the board or are off the board.
 
-    The first shift brings the dot of the highest column and row to the board's first.
+    The first shift moves the last column and row of the fragment onto the first column and row of the board.
     """
     low = turned.min(axis=0)
     columns, rows = turned.max(axis=0) - low + 1
@@ -233,16 +233,16 @@ def _disagreeing(turned: IntArray, is_large: BoolArray, board_large: BoolArray) 
     fragment[turned[:, 1] - low[1], turned[:, 0] - low[0]] = np.where(is_large, 1.0, -1.0)
     board = np.where(board_large, 1.0, -1.0)
 
-    # Dots on the board that agree minus dots that do not; and the number of dots on the board.
+    # Number of agreeing minus disagreeing dots on the board, and number of dots on the board.
     balance = scipy.signal.correlate(board, fragment)
     on_board = scipy.signal.correlate(np.ones_like(board), np.abs(fragment))
     return np.asarray(len(turned) - np.rint(0.5 * (balance + on_board)), dtype=np.int64)
 
 
 def _share_as_good(disagreeing: int, count: int) -> float:
-    """Return the share of all size patterns of this length with as few disagreeing dots."""
+    """Return the share of all size patterns of `count` dots with no more disagreeing dots."""
     as_good = sum(math.comb(count, wrong) for wrong in range(disagreeing + 1))
-    # Integers: a float overflows at a thousand dots.
+    # Integers, because floats overflow at a thousand dots.
     share: float = as_good / 2**count
     return share
 

@@ -1,7 +1,7 @@
-"""Sub-pixel dot centres from moments of the darkness relative to the background.
+"""Sub-pixel dot centres from moments of the darkness relative to the background, the ground.
 
-Moments of the whole deficit are not biased by blur, unlike an edge at a threshold. To reduce noise, only a band along
-the edge uses the photograph; inside the band a dot has the mean darkness of its interior, outside there is ground.
+Blur does not bias moments of the whole deficit, unlike an edge at a threshold. To reduce noise, only a band along the
+edge uses the photograph: inside the band, a dot has the mean darkness of its interior, and outside it is ground.
 """
 
 from collections.abc import Iterator
@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from wlr_render.captures.boards.dot_lattice import Dots
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_SIZE_STEP_PX = 4  # half sides of patches are rounded up to multiples, so that there are few sizes
+_SIZE_STEP_PX = 4  # step of half sides of patches, which are rounded up to have few sizes
 _OUTSIDE = -1
 
-_PASSES = 4  # passes; the last two matter only where blur is as wide as a small dot
-_FIRST_BAND_PX, _FIRST_BAND_PART = 2.0, 0.15  # half width of the band: pixels, and parts of the radius
-_BAND_PX, _BAND_BLURS = 1.0, 2.5  # half width once the blur is known: pixels, and blurs
+_PASSES = 4  # number of passes; the last two matter only where blur is as wide as a small dot
+_FIRST_BAND_PX, _FIRST_BAND_PART = 2.0, 0.15  # half width of the first band: pixels, and parts of the radius
+_BAND_PX, _BAND_BLURS = 1.0, 2.5  # half width of the band once the blur is known: pixels, and blurs
 _RING_PX, _RING_PART = 2.0, 0.3  # width of the ring of ground around the band
 _LEAST_GROUND_PX = 10  # fewest pixels of ground for a plane of light and its noise
 _LEAST_INSIDE_PX = 10  # fewest interior pixels for a noise estimate
-_SAMPLING_ERROR_PX = 0.004  # error of a small dot without noise, from square pixels
+_SAMPLING_ERROR_PX = 0.004  # error of a small dot without noise, due to square pixels
 _QUANTUM_VARIANCE = 1.0 / 12.0  # variance of rounding to whole grey values
 
 
@@ -54,10 +54,10 @@ def _patches_around(
 
     Args:
         grey: (h, w) grey values.
-        dots: (n) all dark shapes, since a neighbour is not ground; NaN for rejected ones.
+        dots: (n) all dark shapes, because a neighbour is not ground; NaN for rejected ones.
         which: (m,) numbers of the dots to cut out.
-        near_px: (n,) distance beyond its edge at which a pixel still belongs to a dot.
-        reach_px: (n,) distance beyond its edge that the patch must cover.
+        near_px: (n,) distance from a dot's edge up to which pixels belong to the dot.
+        reach_px: (n,) distance from a dot's edge up to which the patch extends.
     """
     usable = dots.is_valid & np.all((dots.centre > 0) & (dots.centre < np.array(grey.shape)[::-1]), axis=-1)
     which = which[usable[which]]
@@ -95,12 +95,12 @@ def _of_one_size(
 
 
 def _owners(grey: FloatArray, dots: Dots, near_px: FloatArray, which: IntArray) -> NDArray[np.int32]:
-    """Return the dot (h, w), counted from 1, that a pixel is in or near; 0 for ground."""
+    """Return the dot (h, w), counted from 1, in or near which each pixel lies; 0 for ground."""
     owner = np.zeros(grey.shape, np.int32)
     squares, axes = np.linalg.eigh(dots.spread[which])
     angle = np.rad2deg(np.arctan2(axes[:, 1, 0], axes[:, 0, 0])).tolist()
     centre = (dots.centre[which] - 0.5).tolist()
-    # The inner parts come last: a pixel near two dots belongs to the nearer one.
+    # Inner parts are drawn last, so that a pixel near two dots belongs to the nearer one.
     for part in (1.0, 0.5, 0.0):
         size = (2.0 * (2.0 * np.sqrt(squares) + part * near_px[which, None])).tolist()
         for place, dot in enumerate(which.tolist()):
@@ -113,9 +113,9 @@ class MeasuredDots:
     """Measurements of dots; NaN for dots that could not be measured.
 
     Attributes:
-        dots: (n) the ellipses; their centres are centres of area, their spreads include the blur.
-        darkness_px2: (n,) missing light of the dot in pixels of ground: its area times its contrast.
-        contrast: (n,) contrast of the middle of the dot: 1 for black, 0 for ground.
+        dots: (n) ellipses, with centres of area as centres and spreads that include the blur.
+        darkness_px2: (n,) light that a dot takes away, in pixels of ground: area times contrast.
+        contrast: (n,) contrast of the dot's middle: 1 for black, 0 for ground.
         sigma_px: (n,) standard deviation of the centres per axis.
         blur_px: (n,) standard deviation of the edge's blur, pixel integration included.
     """
@@ -129,7 +129,7 @@ class MeasuredDots:
 
 @dataclass(frozen=True, eq=False)
 class _Regions:
-    """Classes of the pixels (m, p) of patches: the ring is ground, the middle the darkest part of the interior."""
+    """Masks (m, p) of patch pixels: `ring` is ground, and `middle` is the darkest part of the interior."""
 
     edge: BoolArray
     inside: BoolArray
@@ -138,11 +138,11 @@ class _Regions:
 
 
 def measure_dots(image: NDArray[np.generic], dots: Dots, which: IntArray) -> MeasuredDots:
-    """Measure the centres, areas and their noise, for dots whose positions are accurate to about a pixel.
+    """Measure the centres and areas, with sigmas, of dots whose positions are accurate to about a pixel.
 
     Args:
         image: (h, w) grey.
-        dots: (n) all dots nearby, since a neighbour is not ground.
+        dots: (n) all dots nearby, because a neighbour is not ground.
         which: (m,) numbers of the dots to measure.
 
     Returns:
@@ -162,7 +162,7 @@ def measure_dots(image: NDArray[np.generic], dots: Dots, which: IntArray) -> Mea
 
 
 def _updated(dots: Dots, measured: Dots, which: IntArray, blur: float) -> Dots:
-    """Return the measured dots without their blur (at most half their width), and the other dots unchanged."""
+    """Return the dots with blur subtracted from the measured ones (at most half the width), the others unchanged."""
     centre, spread = dots.centre.copy(), dots.spread.copy()
     new = measured.spread[which]
     half_least = 0.5 * _determinant(new) / (new[:, 0, 0] + new[:, 1, 1])
@@ -172,7 +172,7 @@ def _updated(dots: Dots, measured: Dots, which: IntArray, blur: float) -> Dots:
 
 
 def _measured_once(grey: FloatArray, dots: Dots, which: IntArray, band: FloatArray) -> MeasuredDots:
-    """Measure once, with windows at the estimated positions of the dots."""
+    """Measure in one pass, with windows at the estimated positions of the dots."""
     number = len(dots)
     centre, spread = np.full((number, 2), np.nan), np.full((number, 2, 2), np.nan)
     darkness, contrast, sigma, blur = np.full((4, number), np.nan)
@@ -222,12 +222,12 @@ def _regions(patches: _Patches, dots: Dots, band: FloatArray) -> _Regions:
 
 
 def _beyond_edge(patches: _Patches, spread: FloatArray) -> FloatArray:
-    """Return the distance (m, p) of pixels from an ellipse, negative inside, to first order of a cone through it."""
+    """Return the distance (m, p) of pixels from an ellipse, negative inside, to first order (gradient of a cone)."""
     inverse = np.linalg.inv(spread)[..., None]
     steep_x = inverse[:, 0, 0] * patches.x + inverse[:, 0, 1] * patches.y
     steep_y = inverse[:, 1, 0] * patches.x + inverse[:, 1, 1] * patches.y
     height = np.sqrt(steep_x * patches.x + steep_y * patches.y)  # 2 on the edge
-    # A pixel right on the middle has no slope, and is far inside.
+    # A pixel exactly at the centre has no gradient, and is far inside.
     return np.asarray((height - 2.0) * np.maximum(height, 1e-6) / np.maximum(np.hypot(steep_x, steep_y), 1e-9))
 
 
@@ -235,12 +235,12 @@ def _ground(patches: _Patches, ring: BoolArray) -> tuple[FloatArray, FloatArray,
     """Fit a plane of light to each ring.
 
     Returns:
-        The light (m,) at the dot's centre, the missing fraction (m, p) of the ground's light at a pixel, so that uneven
-        light on a dot does not shift its centre, and the covariance (m, 3, 3) of 1, x, y for pixels of unit noise.
+        The light (m,) at the dot's centre, the missing fraction (m, p) of the ground's light at each pixel, which makes
+        centres independent of uneven light, and the covariance (m, 3, 3) of terms 1, x, y for pixels of unit noise.
     """
     basis = np.stack([np.ones_like(patches.x), patches.x, patches.y], axis=-1)
     of_ring = np.swapaxes(np.where(ring[..., None], basis, 0.0), 1, 2)
-    # A ring without pixels gives a plane of zero, which is refused.
+    # A ring without pixels gives a zero plane, and such a dot is NaN.
     covariance = np.linalg.inv(of_ring @ basis + 1e-6 * np.eye(3))
     plane = covariance @ (of_ring @ patches.grey[..., None])
     light = (basis @ plane)[..., 0]
@@ -249,9 +249,9 @@ def _ground(patches: _Patches, ring: BoolArray) -> tuple[FloatArray, FloatArray,
 
 
 def _lever(patches: _Patches, edge: BoolArray, covariance: FloatArray) -> FloatArray:
-    """(m,) variance of first moments per axis for pixels of unit noise.
+    """Return the variance (m,) of first moments per axis, for pixels of unit noise.
 
-    It is the sum of the variances of the band and of the ground's plane, which is subtracted everywhere.
+    It is the sum of the variances due to the band and due to the ground's plane, which is subtracted everywhere.
     """
     x, y = np.where(edge, patches.x, 0.0), np.where(edge, patches.y, 0.0)
     xx, xy, yy = _dot(x, x), _dot(x, y), _dot(y, y)
@@ -263,7 +263,7 @@ def _lever(patches: _Patches, edge: BoolArray, covariance: FloatArray) -> FloatA
 
 
 def _noise_variance(deficit: FloatArray, regions: _Regions) -> FloatArray:
-    """Return the variance (m,) of a pixel of the edge: mean of the ground's and, with an interior, the dot's."""
+    """Return the variance (m,) of an edge pixel: the ground's, or the mean of ground and interior if there is one."""
     ground_px, inside_px = regions.ring.sum(axis=1), regions.inside.sum(axis=1)
     ground = _dot(np.where(regions.ring, deficit, 0.0), deficit) / np.maximum(ground_px - 3, 1)
     off = np.where(regions.inside, deficit - _mean(deficit, regions.inside)[:, None], 0.0)
@@ -272,7 +272,7 @@ def _noise_variance(deficit: FloatArray, regions: _Regions) -> FloatArray:
 
 
 def _blur(depth: FloatArray, edge: BoolArray, variance: FloatArray, dots: Dots) -> FloatArray:
-    """Return the standard deviation (m,) of an edge's blur: across it, depth * (1 - depth) sums to blur / root pi."""
+    """Return the standard deviation (m,) of an edge's blur; across it, depth (1 - depth) sums to blur / sqrt(pi)."""
     mixed = np.where(edge, depth * (1.0 - depth), 0.0).sum(axis=1) + edge.sum(axis=1) * variance
     perimeter = 2.0 * np.pi * np.sqrt(2.0 * (dots.spread[:, 0, 0] + dots.spread[:, 1, 1]))
     return np.asarray(np.sqrt(np.pi) * np.maximum(mixed, 0.0) / perimeter)

@@ -1,9 +1,9 @@
-"""Dark dots on a lighter background in unevenly lit photographs, and the distorted square lattices that they lie on.
+"""Dark dots on a lighter background in unevenly lit photographs, and the distorted square lattices that they form.
 
-A morphological closing estimates the ground under the dots; a dot is a region below it. Each level of a pyramid detects
-dots of up to twice the size of the level before. A dot's ellipse shows the local foreshortening of the board, up to a
-rotation; with that undone its neighbours form a right-angled cross. From a clear cross the lattice grows, each step
-predicted by the steps around it.
+A morphological closing estimates the ground under the dots; a dot is a region darker than the ground. Each level of a
+pyramid detects dots up to twice the size of the previous level. The ellipse of a dot shows the local foreshortening of
+the board, up to a rotation; once this is undone, the dot's neighbours form a right-angled cross. The lattice grows from
+a clear cross, and each step is predicted from the steps around it.
 """
 
 from collections import deque
@@ -22,20 +22,20 @@ _LEVELS = 5  # pyramid levels: dots of up to 24 px on the finest, 380 px on the 
 _KERNEL_PX = 25  # side of the closing's square, on each level
 LEAST_AREA_PX = 8.0
 """Least area of a dot on the finest level."""
-_LEAST_AREA_BEYOND_PX = 60.0  # least area on coarser levels: the level before is better at smaller dots
-_FULLNESS = (0.8, 1.15)  # range of area over the area of the ellipse with the same second moments: 1 for any ellipse
-_LEAST_AXES_RATIO = 0.3  # least ratio of a dot's axes: a board tilted by 70 degrees
-_OVER_NOISE = 4.0  # least depth of a dot, in usual differences of closing and picture
+_LEAST_AREA_BEYOND_PX = 60.0  # least area on coarser levels; the previous level detects smaller dots better
+_FULLNESS = (0.8, 1.15)  # range of area over that of the ellipse with equal second moments; 1 for an ellipse
+_LEAST_AXES_RATIO = 0.3  # least ratio of a dot's axes, for a board tilted by 70 degrees
+_OVER_NOISE = 4.0  # least depth of a dot, in median differences of closing and picture
 _OVER_DEEPEST = 0.05  # least depth of a dot relative to the deepest dots
-_NEIGHBOURS = 16  # neighbours that include the four arms of the cross up to a foreshortening of 1 to 2
+_NEIGHBOURS = 16  # neighbours searched for the four arms of the cross; enough for a foreshortening of 1 to 2
 _SHAPE_NEIGHBOURS = 7
 _CROSS_TOLERANCE = 0.3  # tolerance of the other three arms, in lengths of an arm
 _STEP_TOLERANCE = 0.22  # largest distance of a dot from its prediction, in steps
-_INHERITED = 1.0  # weight of the parent's steps relative to a neighbour's
+_INHERITED = 1.0  # weight of the inherited steps relative to a neighbour's
 LEAST_DOTS = 9
 """Fewest dots of a lattice."""
 
-_MOST_SEEDS = 60  # most crosses from which a lattice is grown
+_MOST_SEEDS = 60  # most crosses from which lattices are grown
 _AROUND = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)])
 _NEAR_FIRST = _AROUND[np.argsort(np.abs(_AROUND).max(axis=1) * 3 + np.abs(_AROUND).sum(axis=1), kind="stable")]
 
@@ -45,7 +45,7 @@ class Dots:
     """Dots as ellipses.
 
     Attributes:
-        centre: (n, 2) pixels from the outer corner of the top-left pixel.
+        centre: (n, 2) centres, pixels from the outer corner of the top-left pixel.
         spread: (n, 2, 2) second central moments of the ellipses, pixels squared: a disc of radius r has r^2 / 4.
     """
 
@@ -71,7 +71,7 @@ class Dots:
 
 
 def find_dots(image: NDArray[np.generic]) -> Dots:
-    """Detect all dark ellipses surrounded by lighter ground, to about half a pixel; clutter among them.
+    """Detect all dark ellipses on lighter ground, including clutter, to about half a pixel.
 
     Args:
         image: (h, w) grey, of any type.
@@ -82,7 +82,7 @@ def find_dots(image: NDArray[np.generic]) -> Dots:
         if min(level.shape) < _KERNEL_PX:
             break
         dots, depth = _dots_of_level(level, _LEAST_AREA_BEYOND_PX if octave else LEAST_AREA_PX)
-        # A pixel of the next level lies over every second pixel of this one, centre on centre.
+        # The centres of the next level's pixels lie on those of every second pixel of this level.
         scale = 2.0**octave
         levels.append(Dots((dots.centre - 0.5) * scale + 0.5, dots.spread * scale**2))
         depths.append(depth)
@@ -94,7 +94,7 @@ def find_dots(image: NDArray[np.generic]) -> Dots:
 
 
 def _dots_of_level(level: FloatImage, least_area: float) -> tuple[Dots, FloatArray]:
-    """Return the dots of up to the kernel's size, and the mean depth of each below the ground."""
+    """Return the dots up to the kernel's size, and the mean depth of each below the ground."""
     smooth = cv2.GaussianBlur(level, (3, 3), 0)
     square = np.ones((_KERNEL_PX, _KERNEL_PX), np.uint8)
     below = cv2.morphologyEx(smooth, cv2.MORPH_CLOSE, square) - smooth
@@ -114,7 +114,7 @@ def _dots_of_level(level: FloatImage, least_area: float) -> tuple[Dots, FloatArr
 def _as_ellipses(
     label: NDArray[np.int32], number: int, u: NDArray[np.int64], v: NDArray[np.int64], below: FloatImage
 ) -> tuple[Dots, FloatArray]:
-    """Return the components as ellipses with their moments, without components that are not elliptic."""
+    """Return the elliptic components as ellipses with the same moments, and their mean depths."""
 
     def total(of: NDArray[np.generic]) -> FloatArray:
         return np.asarray(np.bincount(label, of, number), dtype=np.float64)
@@ -125,7 +125,7 @@ def _as_ellipses(
     centre = np.stack([total(u) / pixels, total(v) / pixels], axis=-1)
     du, dv = u - centre[label, 0], v - centre[label, 1]
     uu, uv, vv = total(du * du) / pixels, total(du * dv) / pixels, total(dv * dv) / pixels
-    # A pixel is a square of one pixel, not a point.
+    # A pixel is a unit square, not a point.
     spread = np.stack([np.stack([uu + 1 / 12, uv], -1), np.stack([uv, vv + 1 / 12], -1)], -2)
 
     determinant, half_trace = np.linalg.det(spread), 0.5 * (spread[:, 0, 0] + spread[:, 1, 1])
@@ -137,7 +137,7 @@ def _as_ellipses(
 
 
 def _deepest_of_each_place(dots: Dots, depth: FloatArray) -> NDArray[np.bool_]:
-    """Return the mask (n,) of the deepest of dots that lie within one another, as levels and noise produce them."""
+    """Return the mask (n,) of the deepest among dots within one another, which levels and noise produce."""
     keep = np.ones(len(dots), dtype=bool)
     if len(dots) < 2:
         return keep
@@ -155,14 +155,14 @@ class DotLattice:
 
     Attributes:
         dot: (k,) numbers of the dots.
-        index: (k, 2) their integer coordinates; the second axis lies clockwise of the first, as v of u.
+        index: (k, 2) integer coordinates of the dots; the second axis is clockwise of the first, as v is of u.
     """
 
     dot: IntArray
     index: IntArray
 
     def only(self, rows: NDArray[np.generic]) -> "DotLattice":
-        """Return some of the dots, by mask (k,) or by position."""
+        """Return the dots of a mask (k,), or at some positions."""
         return DotLattice(self.dot[rows], self.index[rows])
 
     def __len__(self) -> int:
@@ -189,7 +189,7 @@ def link_lattices(dots: Dots) -> list[DotLattice]:
 
 
 def _crosses(dots: Dots, tree: "scipy.spatial.cKDTree") -> tuple[IntArray, FloatArray]:
-    """Return the dots with four neighbours in a cross, the clearest first, and their two steps (m, 2, 2), pixels."""
+    """Return the dots with four neighbours in a cross, clearest first, and the cross's two steps (m, 2, 2), pixels."""
     count = min(_NEIGHBOURS + 1, len(dots))
     near = tree.query(dots.centre, count)[1][:, 1:]
     to_near = dots.centre[near] - dots.centre[:, None, :]
@@ -201,7 +201,7 @@ def _crosses(dots: Dots, tree: "scipy.spatial.cKDTree") -> tuple[IntArray, Float
     others = np.stack([arm, quarter, -arm, -quarter], axis=2)  # (n, arm, direction in the cross, 2)
     away = np.linalg.norm(others[:, :, :, None, :] - straightened[:, None, None, :, :], axis=-1)
     off = away.min(axis=-1).max(axis=-1) / np.maximum(np.linalg.norm(arm, axis=-1), 1e-9)
-    # The shortest valid cross: a longer one would skip dots.
+    # Take the shortest valid cross, because a longer one would skip dots.
     first = np.argmax(off < _CROSS_TOLERANCE, axis=1)
     every = np.arange(len(dots))
     error = off[every, first]
@@ -223,7 +223,7 @@ def _straightening(dots: Dots, near: IntArray) -> FloatArray:
 def _grown(
     centre: FloatArray, tree: "scipy.spatial.cKDTree", seed: int, step: FloatArray, free: NDArray[np.bool_]
 ) -> DotLattice:
-    """Return the connected lattice of a seed; `step` is (2, 2), pixels per unit of each coordinate in rows."""
+    """Return the lattice connected to a seed; row i of `step` (2, 2) is pixels per unit of coordinate i."""
     at = {(0, 0): seed}
     index_of = {seed: (0, 0)}
     steps_of = {seed: step}
@@ -253,7 +253,7 @@ def _grown(
 def _local_step(
     centre: FloatArray, dot: int, neighbours: list[tuple[IntArray, int]], inherited: FloatArray
 ) -> FloatArray:
-    """Return the least-squares step (2, 2) to known neighbours, regularised towards the inherited steps."""
+    """Return the least-squares steps (2, 2) to known neighbours, regularised towards the inherited steps."""
     near = [(offset, other) for offset, other in neighbours if np.abs(offset).max() == 1]
     if not near:
         return inherited

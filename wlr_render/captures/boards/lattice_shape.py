@@ -1,10 +1,10 @@
-"""Smooth maps from lattice coordinates to pixels around each feature of a board, and the centres of discs by such maps.
+"""Smooth maps from lattice coordinates to pixels around each feature of a board, and centres of discs from these maps.
 
 A map predicts the position of a feature, the size of a lattice cell there, and the offset between the centre of area of
 a disc's image and the image of the disc's centre: the squared radius of the disc times the curvature of the map. The
-detection estimates the map from the neighbours of a dot. If dots are far apart in the picture, a lens distorts more
-from dot to dot than third-order maps describe, and centres are wrong by tenths of a pixel. Once the lens is known, only
-the map from the board to the lens has to be fitted to the neighbours (`Discs`).
+detection estimates the map from the neighbours of a dot. If dots are far apart in the picture, the lens distortion from
+dot to dot exceeds third-order maps, and centres are wrong by tenths of a pixel. Once the lens is known, only the map
+from the board to the lens has to be fitted to the neighbours (`Discs`).
 """
 
 import math
@@ -18,30 +18,30 @@ from wlr_render.geometry.directions import normalised
 from wlr_render.lenses.lens import Lens
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_NEIGHBOURS = 24  # number of neighbours: a 5 x 5 window without its middle
+_NEIGHBOURS = 24  # number of neighbours: a 5 x 5 window without the middle
 _POWERS = [(total - j, j) for total in range(4) for j in range(total + 1)]  # powers of x and y: 1, x, y, x^2, x y, ...
-_STIFFNESS = 1e-3  # keeps second and third orders finite where a fragment is too narrow to determine them
+_STIFFNESS = 1e-3  # ridge of second and third orders, for fragments too narrow to determine them
 
-_LEAST_STIFFNESS = 1e-9  # stiffness of first orders: a single row of dots gets a slope of zero across it
+_LEAST_STIFFNESS = 1e-9  # ridge of first orders; it makes the slope across a single row of dots zero
 
-_OUTLIER_SPREADS = 6.0  # outlier threshold, in usual departures from the lattice
+_OUTLIER_SPREADS = 6.0  # outlier threshold, in typical departures from the lattice
 _OUTLIER_CELLS = 0.005  # least outlier threshold, in sides of a cell
 _LEAST_CELL = 0.05  # least area of a cell relative to the usual one; a single row of dots has no cells
 _STEPS = np.sqrt(0.5) * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-"""Points of the unit disc with its second moments."""
+"""Points with the second moments of the unit disc."""
 
 
 @dataclass(frozen=True, eq=False)
 class LatticeShape:
-    """Third-order maps around n features, each fitted to its neighbours without itself.
+    """Third-order maps around n features, each fitted to the feature's neighbours without the feature.
 
-    At the edge of a fragment all neighbours lie on one side; a second-order map would mistake third orders for second.
+    At the edge of a fragment, all neighbours lie on one side, where second-order maps would be biased by third orders.
 
     Attributes:
         expected: (n, 2) pixels of the dots predicted from their neighbours.
         doubt: (n,) standard deviation per axis of the dot's distance from the prediction, for dots of unit noise.
         slope: (n, 2, 2) pixels (rows) per lattice unit (columns).
-        curvature: (n, 2, 2, 2) second derivatives: of pixel, by lattice unit, by lattice unit.
+        curvature: (n, 2, 2, 2) second derivatives of the pixel (first axis) by lattice units (other axes).
         neighbour: (n, k) numbers of the dots that were used.
     """
 
@@ -59,9 +59,10 @@ class LatticeShape:
     def centroid_shift(self, radius: FloatArray) -> FloatArray:
         """Return the centre of area of a disc's image minus the image of its centre, (n, 2) pixels.
 
-        With f the map, J its slope and the disc's second moments radius^2 / 4 per axis: the integral of f |J| over the
-        integral of |J|, to second order. For a plane in perspective it is the correction of J. Heikkila, "Geometric
-        camera calibration using circular control points", PAMI 22 (2000) 1066; it includes lenses and optics.
+        The centre is the integral of f |J| over the integral of |J|, to second order, with the map f, its slope J and
+        the disc's second moments radius^2 / 4 per axis. For a plane in perspective, the shift is the correction of J.
+        Heikkila, "Geometric camera calibration using circular control points", PAMI 22 (2000) 1066; here it includes
+        lenses and optics.
 
         Args:
             radius: (n,) radii of the discs, lattice units.
@@ -76,7 +77,7 @@ def lattice_shape(index: FloatArray | IntArray, pixel: FloatArray) -> LatticeSha
 
     Args:
         index: (n, 2) lattice coordinates, n >= 2.
-        pixel: (n, 2) where they are seen.
+        pixel: (n, 2) pixels of the features.
     """
     near = scipy.spatial.cKDTree(index).query(index, min(_NEIGHBOURS + 1, len(index)))[1][:, 1:]
     x, y = np.moveaxis((index[near] - index[:, None, :]).astype(np.float64), -1, 0)
@@ -95,7 +96,7 @@ def smooth_rows(index: FloatArray | IntArray, pixel: FloatArray, least: int) -> 
 
     Args:
         index: (n, 2) lattice coordinates.
-        pixel: (n, 2) where they are seen.
+        pixel: (n, 2) pixels of the features.
         least: fewest features; if fewer are left, the maps are None.
     """
     rows = np.arange(len(index))
@@ -103,7 +104,7 @@ def smooth_rows(index: FloatArray | IntArray, pixel: FloatArray, least: int) -> 
         shape = lattice_shape(index[rows], pixel[rows])
         off = np.linalg.norm(pixel[rows] - shape.expected, axis=-1) / shape.doubt
         most = np.maximum(_OUTLIER_SPREADS * float(np.median(off)), _OUTLIER_CELLS * np.sqrt(shape.cell_px2))
-        # An outlier makes its neighbours look like outliers too; only the worst of a neighbourhood goes.
+        # An outlier makes its neighbours look like outliers too, so that only the worst of a neighbourhood is rejected.
         keep = (off <= most) | (off < off[shape.neighbour].max(axis=1))
         keep &= shape.cell_px2 > _LEAST_CELL * float(np.median(shape.cell_px2))
         if keep.all():
@@ -117,7 +118,7 @@ class Discs:
     """Round features in a photograph.
 
     Attributes:
-        centroid: (n, 2) centres of area of their pictures, camera pixels.
+        centroid: (n, 2) centres of area of their images, camera pixels.
         radius_m: (n,) radii on the board.
     """
 
@@ -125,7 +126,7 @@ class Discs:
     radius_m: FloatArray
 
     def only(self, rows: NDArray[np.generic]) -> "Discs":
-        """Return some of the discs, by mask (n,) or by number."""
+        """Return the discs of a mask (n,), or with some numbers."""
         return Discs(self.centroid[rows], self.radius_m[rows])
 
     def centres(self, lens: Lens, point: FloatArray, pixel: FloatArray) -> FloatArray:
@@ -134,7 +135,7 @@ class Discs:
         Args:
             lens: lens of the camera, at least roughly.
             point: (n, 3) positions of the centres on the board, board frame, metres.
-            pixel: (n, 2) centres to a fraction of a pixel; returned where the lens has no direction.
+            pixel: (n, 2) centres, accurate to a fraction of a pixel; returned where the lens has no direction for them.
         """
         direction = lens.dir_of_pixel(pixel)
         finite = np.isfinite(direction).all(axis=-1)

@@ -15,7 +15,7 @@ def dictionary_of(name: str) -> cv2.aruco.Dictionary:
     """Return OpenCV's dictionary by name, e.g. "DICT_5X5_1000".
 
     Raises:
-        BadInputError: the name is unknown; the sentence lists all names.
+        BadInputError: the name is unknown; the message lists all names.
     """
     if name not in DICTIONARIES:
         raise BadInputError(f"there is no dictionary '{name}'; choose from {', '.join(DICTIONARIES)}.")
@@ -28,7 +28,7 @@ LARGEST_DICTIONARIES = tuple(
     for name in DICTIONARIES
     if not name.endswith(("_50", "_100", "_250")) and not (name[-3] == "H" and name.replace("H", "h") in DICTIONARIES)
 )
-"""Dictionaries that hold all markers of the others, under one name each."""
+"""Largest dictionaries, each under one name; they contain all markers of the others."""
 
 
 def marker_cells(
