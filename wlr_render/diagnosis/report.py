@@ -30,17 +30,17 @@ STEM = "diagnosis"
 class Diagnosis(DiagnosisRecord):
     """The result of `diagnose`: its record, advice, and report; attributes as in `DiagnosisRecord`.
 
-    `print` shows the verdict and what to do; notebooks show tables.
+    `print` shows the verdict and the next steps; notebooks show tables.
     """
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write diagnosis.html, .md and .json and, if something is corrected, the session `corrected`.
+        """Write diagnosis.html, .md and .json and, if the bench was corrected, the session folder `corrected`.
 
         Returns:
             The files of the report, and the folder of the corrected session.
 
         Raises:
-            BadInputError: the folder cannot be written, or holds other things than a diagnosis in `corrected`.
+            BadInputError: the folder cannot be written, or its `corrected` is something other than a session.
         """
         folder = output_folder(folder)
         files = write_corrected(folder / CORRECTED, self)
@@ -74,7 +74,7 @@ class Diagnosis(DiagnosisRecord):
 def diagnosis_record(diagnosis: DiagnosisRecord, in_use: ImprovementInUse | None = None) -> dict[str, Any]:
     """Return the record for the JSON file.
 
-    Scripts of others read these keys, which stay as they are: `verdict`, `causes` (`name`, `parameters` by name,
+    Users' scripts read these keys, so they must not change: `verdict`, `causes` (`name`, `parameters` by name,
     `held_out_gain`, `gain_sigma`, `overlaps_with`), `outliers`, `before` and `after` (`display_rms_px`,
     `seethrough_rms_arcmin`, `runtime_rms_arcmin` and their noise floors), `unexplained` (`part`, `excess`,
     `rms_over_noise`), `effects` (`station`, `coordinates`, `form`, `log10_odds`, `size`, `likely`).
@@ -126,8 +126,8 @@ def diagnosis_report(
         diagnosis: the record.
         in_use: improvement in use, if causes were found.
         inputs: files and folders that were read.
-        folder: output folder, in which the corrected session is `CORRECTED`.
-        add_causes: files and modules with causes of the user's own, for the commands that the report suggests.
+        folder: output folder; it contains the corrected session as `CORRECTED`.
+        add_causes: files and modules with the user's causes, for the commands that the report suggests.
     """
     blocks: list[Block] = [Section("Result"), tables.residuals_table(diagnosis), tables.causes_table(diagnosis)]
     lines = verdict_sentences.values_to_type(diagnosis)
@@ -172,7 +172,7 @@ def _captures(diagnosis: DiagnosisRecord) -> Plot:
 
 
 def _next_steps(diagnosis: DiagnosisRecord, folder: Path, add_causes: Sequence[str]) -> list[Block]:
-    """Return commands to go on with the corrected session, for the working directory of this run."""
+    """Return commands to continue with the corrected session, for the working directory of this run."""
     if not diagnosis.is_corrected:
         return []
     plan = diagnosis.observations.session.plan
@@ -191,7 +191,7 @@ def _next_steps(diagnosis: DiagnosisRecord, folder: Path, add_causes: Sequence[s
 
 
 def improvement_found(diagnosis: DiagnosisRecord) -> ImprovementInUse | None:
-    """Return the improvement in use on the readings that count; None without causes."""
+    """Return the improvement in use on the readings that were used; None without causes."""
     if not diagnosis.causes:
         return None
     session = diagnosis.observations.of_rows(diagnosis.used).session
@@ -199,12 +199,12 @@ def improvement_found(diagnosis: DiagnosisRecord) -> ImprovementInUse | None:
 
 
 def write_corrected(folder: Path, diagnosis: DiagnosisRecord) -> list[Path]:
-    """Write the corrected bench with the readings that count, as a session; an earlier diagnosis's is removed."""
+    """Write the corrected bench and the readings that were used as a session, in place of an earlier diagnosis's."""
     if folder.is_dir():
         remove_session(folder)
     if not diagnosis.is_corrected:
         return []
-    # What was expected of these causes is now in the bench itself.
+    # Drop the priors of these causes: the corrected bench now includes their values.
     names = {cause.name for cause in diagnosis.causes}
     priors = {name: stated for name, stated in diagnosis.corrected.priors.items() if name not in names}
     corrected = replace(diagnosis.corrected, priors=priors)

@@ -13,14 +13,14 @@ from wlr_render.numerics.scatter import USUAL_SHIFT, USUAL_TURN
 from wlr_render.numerics.scatter_search import FEWEST_TO_STAND_OUT
 from wlr_render.report.blocks import cell_text
 
-_SAME_STATED = 1e-3  # relative difference of two stated sigmas that is rounding
-_NEARLY_ONE = 1.1  # ratio of the parts' noise up to which one number states both
+_SAME_STATED = 1e-3  # relative difference of two stated sigmas that is due to rounding
+_NEARLY_ONE = 1.1  # ratio of the parts' noise up to which one number serves for both
 ENOUGH_CAPTURES = 6
-"""Captures of a part from which its repeatability and the captures that moved are known well enough to be useful."""
-_UNUSUAL = 5.0  # prior sigmas
+"""Fewest captures of a part that show its repeatability and its moved captures well enough to be useful."""
+_UNUSUAL = 5.0  # distance of a value from its prior mean, in prior sigmas, beyond which it is unusual
 _ORDINARY_UM, _ORDINARY_URAD = 30.0, 100.0
-"""Repeatability per axis that an ordinary stage keeps: four usual sizes, 1.1 sigmas of their logarithms."""
-_DIFFER, _TWICE = 3.0, 2.0  # standard errors of two parts' repeatabilities, and the ratio, from which they differ
+"""Repeatability per axis of an ordinary stage: four usual sizes, 1.1 sigmas of their logarithms."""
+_DIFFER, _TWICE = 3.0, 2.0  # standard errors and ratio beyond which two parts' repeatabilities differ
 
 
 def warnings(diagnosis: DiagnosisRecord) -> list[str]:
@@ -49,7 +49,7 @@ def warnings(diagnosis: DiagnosisRecord) -> list[str]:
 
 
 def _about_repeatability(diagnosis: DiagnosisRecord) -> list[str]:
-    """Return warnings of a repeatability worse than an ordinary stage's, and of parts that repeat differently."""
+    """Return warnings of a repeatability worse than an ordinary stage's, and of parts with different ones."""
     sentences, unknown = [], undetermined_parts(diagnosis)
     motions = [motion for motion in diagnosis.motions if motion.part not in unknown]
     for unit, ordinary, sizes in (
@@ -76,7 +76,7 @@ def _about_repeatability(diagnosis: DiagnosisRecord) -> list[str]:
 def stated_prior(
     diagnosis: DiagnosisRecord, cause: FoundCause, parameter: ParameterValue
 ) -> tuple[float, float] | None:
-    """Return mean and sigma of a parameter by [prior] of the bench file, in its unit; None if not stated."""
+    """Return mean and sigma of a parameter from [prior] of the bench file, in its unit; None if not stated."""
     return diagnosis.observations.nominal.priors.get(cause.name, {}).get(parameter.name)
 
 

@@ -1,8 +1,8 @@
 """Smooth surfaces through the residual of each photograph, and the noise that neighbouring readings share.
 
 The scatter about the surface estimates the noise; readings far from it are outliers. Surfaces follow noise that
-neighbours share; what very smooth surfaces leave shows it, in photographs of many readings: its share of the variance,
-its reach and smoothness.
+neighbours share. In photographs of many readings, the residual about very smooth surfaces shows that noise: its share
+of the variance, its reach and smoothness.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,25 +18,25 @@ from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 from wlr_render.numerics.shared_noise import Contrasts, SharedNoise, neighbour_distance
 
 _DEGREE = 6  # highest degree of a surface
-_ROWS_PER_COEFFICIENT = 2.5  # readings that each coefficient of an axis needs
-_OUTLIER = 6.0  # residual over the noise of its photograph; neither noise nor a smooth effect is so far off
+_ROWS_PER_COEFFICIENT = 2.5  # fewest readings per coefficient of one axis
+_OUTLIER = 6.0  # residual over the noise of its photograph that neither noise nor a smooth effect reaches
 _OUTLIER_ROUNDS = 6  # most rejections of outliers
-CLEARLY = 4.5  # log likelihood that a further number must gain: three standard errors
+CLEARLY = 4.5  # log likelihood that one more parameter must gain: three standard errors
 _SHARES = np.linspace(0.0, 0.95, 39)
 _REACHES = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # reaches of shared noise, in distances between neighbouring readings
 _USUAL_REACH, _REACH_RANGE = 1.7, 0.4  # prior of the reach in these distances: median, and sigma of its logarithm
 _PHOTOGRAPHS = (4, 40)  # fewest and most photographs searched for shared noise
 _WORK = 4e7  # largest cube of the readings of a photograph, times the photographs, searched for shared noise
 _MOST_READINGS = 250  # most readings of a photograph searched for shared noise
-_ENOUGH_IN_COMMON = 5  # photographs
-_ENOUGH_FOR_A_CUBIC = 80  # readings of a photograph
+_ENOUGH_IN_COMMON = 5  # fewest photographs from which their common residual is fitted
+_ENOUGH_FOR_A_CUBIC = 80  # fewest readings of a photograph for a cubic surface
 _COMMON_DEGREE = 6  # degree of the residual common to photographs
 _SMOOTHEST = 3  # degree of effects of the bench in a photograph; finer structure may be shared noise
 _RANK = 1e-9  # relative singular value that counts as zero
-_MOST_TAKEN = 0.9  # largest share of a photograph's noise variance along one direction for which to correct
-_NEGLIGIBLE = 6.0  # log likelihood below the best one's from which a share is not counted
-_FEW_PHOTOGRAPHS = 8  # photographs from which the variance left by surfaces is computed
-_NOT_EXCLUDED = 2.0  # log likelihood that two standard errors cost
+_MOST_TAKEN = 0.9  # largest absorbed share of a photograph's noise variance, along one direction, that is restored
+_NEGLIGIBLE = 6.0  # log likelihood below the best one's from which a noise field is ignored
+_FEW_PHOTOGRAPHS = 8  # number of photographs from which the variance left by surfaces is computed
+_NOT_EXCLUDED = 2.0  # fall of log likelihood at two standard errors
 
 _NOTHING_SHARED = SharedNoise(0.0, float("nan"), is_smooth=True)
 
@@ -47,10 +47,10 @@ class Surface:
 
     Attributes:
         rows: (m,) the photograph's readings.
-        design: (m, terms) its polynomials of the camera pixel.
+        design: (m, terms) polynomials of the camera pixel at these readings.
         left: (m, 2) residual about the surface.
-        leverage: (m,) of each row on the surface.
-        good: (m,) the rows that it was fitted to: no outliers.
+        leverage: (m,) leverage of each row on the surface.
+        good: (m,) mask of the fitted rows, without outliers.
     """
 
     rows: IntArray
@@ -61,7 +61,7 @@ class Surface:
 
     @property
     def terms(self) -> int:
-        """Coefficients per axis."""
+        """Number of coefficients per axis."""
         return int(self.design.shape[1])
 
     @property
@@ -71,14 +71,14 @@ class Surface:
 
     @property
     def squares(self) -> FloatArray:
-        """Estimate of the variance of each good reading, per axis (m_good,)."""
-        # Weighted by leverage, as noise may grow towards the edge, where a surface follows it most closely.
+        """Estimate of the variance of each good reading, per axis, (m_good,)."""
+        # Correct for leverage: noise may grow towards the edge, where a surface follows it most closely.
         unfollowed = (1.0 - self.leverage[self.good]).clip(1e-6)
         return np.asarray(np.mean(self.left[self.good] ** 2, axis=1) / unfollowed)
 
 
 def image_basis(observations: Observations, rows: IntArray) -> FloatArray | None:
-    """Return polynomials (m, terms) of the camera pixel at a photograph's readings; None where these are too few."""
+    """Return polynomials (m, terms) of the camera pixel at a photograph's readings; None if there are too few."""
     count = int(len(rows) / _ROWS_PER_COEFFICIENT)
     degree = max((each for each in range(_DEGREE + 1) if term_count(2, each) <= count), default=-1)
     if degree < 2 or not np.isfinite(observations.image_place[rows[0]]).all():
@@ -105,7 +105,7 @@ def surfaces(observations: Observations, residual: FloatArray) -> Iterator[Surfa
             near = known & (size <= _OUTLIER * max(1.0, float(np.median(size[good])) / 1.18))
             if np.array_equal(near, good):
                 break
-            # An outlier pulls the surface, and its neighbours seem to be outliers until it is left out.
+            # An outlier pulls the surface, so that its neighbours seem to be outliers until it is left out.
             good = near
             left, leverage, size = _about_surface(design, own, good, whole)
         if good.sum() > 2 * design.shape[1]:
@@ -114,7 +114,7 @@ def surfaces(observations: Observations, residual: FloatArray) -> Iterator[Surfa
 
 @lru_cache(maxsize=1)
 def _designs(observations: Observations) -> list[tuple[IntArray, FloatArray, FloatArray]]:
-    """Return the rows of each photograph, its polynomials and their inverse, as surfaces are asked for in rounds."""
+    """Return the rows of each photograph, its polynomials and their pseudoinverse; cached for repeated use."""
     every = ((rows, image_basis(observations, rows)) for rows in photographs(observations))
     return [(rows, design, np.asarray(np.linalg.pinv(design))) for rows, design in every if design is not None]
 
@@ -122,12 +122,12 @@ def _designs(observations: Observations) -> list[tuple[IntArray, FloatArray, Flo
 def _about_surface(
     design: FloatArray, values: FloatArray, good: BoolArray, whole: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the rest (n, 2) of `values` about a surface through the good ones, leverages and studentised lengths.
+    """Return residuals (n, 2) of `values` about a surface through the good ones, leverages and studentised lengths.
 
-    `whole` (terms, n) gives the surface by all values.
+    `whole` (terms, n) is the pseudoinverse for all values.
 
-    A corner that bends the surface to itself is left with little: hence the leverages (R. D. Cook and S. Weisberg,
-    "Residuals and Influence in Regression", 1982, chapter 2).
+    A reading in a corner pulls the surface towards itself, so that its residual is small: hence the leverages (R. D.
+    Cook and S. Weisberg, "Residuals and Influence in Regression", 1982, chapter 2).
     """
     solve = whole if good.all() else np.asarray(np.linalg.pinv(design[good]))
     left = values - design @ (solve @ values[good])
@@ -141,9 +141,9 @@ class NeighbourNoise:
     """Noise that neighbours share.
 
     Attributes:
-        shared: its field over the image, in pixels; of share 0 and length NaN where it is not clear.
-        kept: share of the whole variance that surfaces leave per degree of freedom, whatever is clear.
-        kept_error: its relative standard error.
+        shared: field of the shared noise over the image, in pixels; share 0 and length NaN where it is not clear.
+        kept: share of the total variance left per degree of freedom about surfaces, whether or not `shared` is clear.
+        kept_error: relative standard error of `kept`.
     """
 
     shared: SharedNoise = _NOTHING_SHARED
@@ -156,12 +156,13 @@ def neighbour_noise(
 ) -> NeighbourNoise:
     """Return the noise that neighbours share in the photographs of a part.
 
-    By restricted maximum likelihood, from residuals of very smooth surfaces in some photographs (D. A. Harville,
-    "Maximum likelihood approaches to variance component estimation", J. Am. Stat. Assoc. 72 (1977), 320).
+    It is estimated by restricted maximum likelihood from residuals about very smooth surfaces in some photographs
+    (D. A. Harville, "Maximum likelihood approaches to variance component estimation", J. Am. Stat. Assoc. 72 (1977),
+    320).
 
     Args:
         observations: the readings.
-        residual: (n, 2) in units of the stated sigma.
+        residual: (n, 2) residual in units of the stated sigma.
         own: surfaces through the part's photographs.
         shape: (n,) relative sigma of all readings.
     """
@@ -183,7 +184,7 @@ def neighbour_noise(
             log, square = each.likelihood_terms(field, _SHARES)
             likelihood -= log + len(each.square) * np.log(square.clip(1e-300))
         likelihood -= 0.5 * (np.log(tried / _USUAL_REACH) / _REACH_RANGE) ** 2
-        likelihood += 2.0 * np.log1p(-_SHARES)  # a small share is likelier than a large one
+        likelihood += 2.0 * np.log1p(-_SHARES)  # prior: a small share is likelier than a large one
         every.append((field, likelihood + white))
         at = int(np.argmax(likelihood))
         if likelihood[at] + white > gain:
@@ -193,10 +194,10 @@ def neighbour_noise(
 
 
 def _incoherent(observations: Observations, residual: FloatArray, own: list[Surface]) -> FloatArray:
-    """Return the residual (n, 2) less the part common to photographs of one colour or target pose, which is not noise.
+    """Return the residual (n, 2) minus the part common to photographs of one colour or target pose, which is not noise.
 
-    That is a smooth function of the camera pixel which changes with the stage's position. A fit of it takes more of
-    smooth noise than of fine noise: of each photograph that is made good, as if all noise were white.
+    The common part is a smooth function of the camera pixel that changes with the stage's position. Its fit absorbs
+    more of smooth noise than of fine noise; this loss is restored in each photograph as if all noise were white.
     """
     left, stage = residual.copy(), observations.of_captures("stage", 3)
     kinds: dict[tuple[int, int], list[IntArray]] = {}
@@ -226,15 +227,15 @@ def _incoherent(observations: Observations, residual: FloatArray, own: list[Surf
 def _kept(
     observations: Observations, own: Sequence[Surface], tried: Sequence[tuple[SharedNoise, FloatArray]]
 ) -> tuple[float, float]:
-    """Return the share of the variance that surfaces leave per degree of freedom, and its relative error.
+    """Return the share of the variance left per degree of freedom about surfaces, and its relative error.
 
-    Over all shares that noise may have, weighed by likelihood: photographs of few readings do not show how much
-    neighbours share.
+    Both are averages over all possible shared noise, weighted by likelihood: photographs of few readings do not show
+    how much noise neighbours share.
 
     Args:
         observations: the readings.
         own: surfaces of some photographs.
-        tried: fields of shared noise, and the log likelihood of each of `_SHARES`.
+        tried: fields of shared noise, each with the log likelihoods of all `_SHARES`.
     """
     best = max(float(likelihood.max()) for _, likelihood in tried)
     weights, kept, possible = list[FloatArray](), list[FloatArray](), list[FloatArray]()
@@ -246,7 +247,7 @@ def _kept(
         weights.append(np.exp(likelihood - best))
         possible.append(kept[-1][likelihood > best - _NOT_EXCLUDED])
     weight, shares = np.concatenate(weights), np.concatenate(kept)
-    # Noise is as often white as not.
+    # Prior: white and shared noise are equally likely.
     weight[shares == 1.0] *= np.sum(shares < 1.0) / np.sum(shares == 1.0)
     whole = float(np.average(1.0 / shares, weights=weight))
     spread = float(np.sqrt(np.average((1.0 / shares - whole) ** 2, weights=weight)))
@@ -255,7 +256,7 @@ def _kept(
 
 
 def _left_of_shared(observations: Observations, surface: Surface, field: SharedNoise) -> float:
-    """Return the mean square per degree of freedom that a surface leaves of shared noise of unit variance."""
+    """Return the mean square, per degree of freedom, of shared noise of unit variance about a surface."""
     place = observations.image_place[surface.rows[surface.good]]
     axes = np.linalg.qr(surface.design[surface.good])[0]
     taken = float(np.sum(axes * (field.correlation(place) @ axes)))
@@ -263,7 +264,7 @@ def _left_of_shared(observations: Observations, surface: Surface, field: SharedN
 
 
 def _nearest(observations: Observations, surface: Surface) -> IntArray:
-    """Return good readings (m,) of a photograph: those nearest to the middle of all."""
+    """Return the good readings (m,) of a photograph that are nearest to the middle of all."""
     rows = surface.rows[surface.good]
     if len(rows) <= _MOST_READINGS:
         return rows
@@ -272,7 +273,7 @@ def _nearest(observations: Observations, surface: Surface) -> IntArray:
 
 
 def _contrasts(observations: Observations, residual: FloatArray, rows: IntArray, shape: FloatArray) -> Contrasts:
-    """Return contrasts of some readings of a photograph that no very smooth surface changes."""
+    """Return contrasts of some readings of a photograph that very smooth surfaces do not change."""
     place = observations.image_place[rows]
     degree = _SMOOTHEST if len(rows) >= _ENOUGH_FOR_A_CUBIC else _SMOOTHEST - 1
     design = basis(place, total_degree(2, degree), Box.around(place)) / shape[rows][:, None]

@@ -11,7 +11,7 @@ from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, PART_UNITS, O
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_MOST = 8  # most maps of a part
+_MOST = 8  # largest number of maps of a part
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,9 +19,9 @@ class Variable:
     """A variable that a residual may depend on.
 
     Attributes:
-        name: with its unit.
-        values: (m,) of each reading.
-        outwards: (m, 2) unit direction of its first component as the camera sees it; None for right and down.
+        name: name with unit.
+        values: (m,) value at each reading.
+        outwards: (m, 2) unit direction of the residual's first component in the image; None for right and down.
     """
 
     name: str
@@ -34,17 +34,17 @@ class PartView:
     """One part of a session.
 
     Attributes:
-        name: of the part.
-        seen: (m, 2) residual in arcminutes, right and down as the camera sees it, by name of the bench: as described
-            and, where something is corrected, corrected. NaN where a reading does not count or is not predicted.
+        name: name of the part.
+        seen: (m, 2) residual in arcminutes, right and down in the camera's image, by name of the bench: as described
+            and, if corrected, corrected. NaN where a reading is not used or not predicted.
         on_map: (m, 2) the same in the unit of the maps.
-        sigma_arcmin: noise, per axis.
+        sigma_arcmin: noise per axis.
         motion: (m, 2, 6) change of the readings, right and down in arcminutes, by the usual motion of their capture.
-        group: (m,) the capture of each reading, by number.
-        place: (m, 2) where in the field each reading is, right and down.
+        group: (m,) capture number of each reading.
+        place: (m, 2) place of each reading in the field, right and down.
         map_unit: unit of the arrows of the maps.
-        place_label: titles of their axes.
-        maps: (m,) readings of each map to draw, by its title.
+        place_label: titles of the maps' axes.
+        maps: (m,) mask of the readings of each map to draw, by its title.
         variables: variables that differ between readings.
     """
 
@@ -62,7 +62,7 @@ class PartView:
 
 
 def part_views(diagnosis: DiagnosisRecord) -> list[PartView]:
-    """Return a view of every part that has readings that count."""
+    """Return a view of every part with used readings."""
     benches = {"bench as described": diagnosis.residual_before}
     if diagnosis.is_corrected:
         benches["corrected bench"] = diagnosis.residual_after
@@ -82,8 +82,8 @@ def part_view(
 
     Args:
         observations: the readings.
-        part: of the session.
-        used: (n,) readings that count.
+        part: index of the part.
+        used: (n,) mask of the readings to use.
         states: (n, 2) residuals, or changes of readings, in units of sigma, by name.
         usual_motion: (n, 2, q) change of the readings by the usual motion of their capture, in units of sigma.
     """
@@ -109,7 +109,7 @@ def part_view(
 
 
 _View = tuple[FloatArray, dict[str, BoolArray], list[Variable]]
-"""Place in the field of view (m, 2), right and down, of each reading of a part; its maps and variables."""
+"""Place (m, 2) in the field of view, right and down, of each reading of a part; maps of the part; its variables."""
 
 
 def _display(observations: Observations, used: BoolArray) -> _View:
@@ -124,7 +124,7 @@ def _display(observations: Observations, used: BoolArray) -> _View:
         Variable("radius on panel (px)", np.linalg.norm(from_middle, axis=1), outwards),
         _camera_radius(observations, plan.camera_pixel),
     ]
-    # The capture in the middle of all, then each time the one farthest from those chosen.
+    # The capture in the middle of all, then repeatedly the one farthest from the chosen captures.
     captures = np.flatnonzero(used)[np.unique(plan.capture[used], return_index=True)[1]]
     stage = plan.stage[captures]
     middle = captures[np.argmin(np.linalg.norm(stage - stage.mean(axis=0), axis=1))]
@@ -203,13 +203,13 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def _title(observations: Observations, plan: StagePlan, row: int) -> str:
-    """Return the name and the place of the capture of a row, from the zero of the stage."""
+    """Return the name of a row's capture, and its place relative to the zero of the stage."""
     x, y, z = 1e3 * (plan.stage[row] - observations.nominal.stage.origin)
     return f"capture {plan.capture[row]} at ({x:+.1f}, {y:+.1f}, {z:+.1f}) mm"
 
 
 def _far_apart(places: FloatArray, choices: Iterable[IntArray], start: FloatArray) -> list[int]:
-    """Return one row of each choice of rows: the one whose place (3,) is farthest from `start` and those chosen."""
+    """Return one row of each choice of rows: the one farthest from `start` (3,) and from the rows chosen before."""
     rows, chosen = list[int](), [start]
     for choice in choices:
         nearest = np.linalg.norm(places[choice][:, None] - np.array(chosen), axis=-1).min(axis=1)
@@ -219,5 +219,5 @@ def _far_apart(places: FloatArray, choices: Iterable[IntArray], start: FloatArra
 
 
 def _some(numbers: IntArray) -> IntArray:
-    """Return as many numbers as maps are drawn, evenly spaced."""
+    """Return at most `_MOST` of the numbers, evenly spaced."""
     return np.asarray(numbers[np.linspace(0, len(numbers) - 1, min(_MOST, len(numbers))).round().astype(int)])

@@ -1,4 +1,4 @@
-"""Screening of hypotheses: what each would gain on top of a fit, to first order, from the best of its starts."""
+"""Screening of hypotheses: the gain of each in addition to a fit, to first order, from its best start."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,8 +17,8 @@ from wlr_render.numerics.scatter_search import best_scatter, one_by_one
 
 HOPELESS = -2.0
 """Gain with unchanged sizes of noise and motions below which other sizes do not help."""
-_TIMES = 6  # tried at once
-_CLOSELY = 12  # hypotheses of largest gain for which sizes of noise and motions are searched
+_TIMES = 6  # number of times tried at once
+_CLOSELY = 12  # number of hypotheses, by gain, for which sizes of noise and motions are searched
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +27,12 @@ class ScreenedHypothesis:
 
     Attributes:
         hypothesis: the cause and its variant.
-        start: values from which a fit should start.
+        start: start values for a fit.
         gain: fall of -2 log evidence.
         parameters: number of free parameters.
-        scatter: sizes of noise and motions with it.
+        scatter: sizes of noise and motions with the hypothesis.
         sums: sums over the columns of the fit and then of the hypothesis.
-        columns: its columns among the columns of the signatures; None if they are not there.
+        columns: its columns in the signatures; None if it has no signature.
     """
 
     hypothesis: Hypothesis
@@ -45,7 +45,7 @@ class ScreenedHypothesis:
 
 
 def hypotheses(causes: Mapping[str, Cause]) -> list[Hypothesis]:
-    """Every cause in each of its ways."""
+    """Return every cause in each of its variants."""
     return [Hypothesis(cause, variant) for cause in causes.values() for variant in cause.variants]
 
 
@@ -57,8 +57,8 @@ class Signatures:
 
     Attributes:
         readings: the readings.
-        fixed: sums over all columns: of the hypotheses, then of the fields.
-        of_hypothesis: starts of each hypothesis, with the columns of its free parameters there.
+        fixed: sums over all columns: first of the hypotheses, then of the fields.
+        of_hypothesis: starts of each hypothesis, each with its free parameters and their columns.
     """
 
     readings: WeighedReadings
@@ -73,11 +73,11 @@ class Signatures:
         fields: Sequence[FloatArray] = (),
         progress: Callable[[str], None] = lambda _: None,
     ) -> "Signatures":
-        """Simulate what each hypothesis does.
+        """Simulate the effect of each hypothesis on the readings.
 
         Args:
             readings: the readings.
-            hypotheses: to be screened.
+            hypotheses: hypotheses to screen.
             fields: (n, 2, c) columns of fields.
             progress: called with a sentence at each hypothesis.
         """
@@ -102,10 +102,10 @@ def screen(
     """Return the gain of each effective hypothesis over a fit, from its best start; largest first.
 
     Args:
-        signatures: of the hypotheses, on the readings of the fit.
+        signatures: signatures of the hypotheses on the readings of the fit.
         current: the fit.
-        hypotheses: to be screened.
-        sums: sums over the signatures' columns and then the fit's, if they are known.
+        hypotheses: hypotheses to screen.
+        sums: sums over the signatures' columns and then the fit's, if already known.
     """
     if sums is None:
         sums = signatures.readings.sums_at(current.at, signatures.fixed)
@@ -120,14 +120,14 @@ def screen(
 
 @dataclass(frozen=True, eq=False)
 class _Screening:
-    """Shared state of the screening of hypotheses in addition to a fit."""
+    """Shared state for screening hypotheses in addition to a fit."""
 
     signatures: Signatures
     current: Fit
     sums: ScatterSums
 
     def of(self, hypothesis: Hypothesis) -> ScreenedHypothesis | None:
-        """Return the gain of a hypothesis with noise and motions as they are, or with no capture that moved."""
+        """Return the gain of a hypothesis with noise and motions unchanged, or without moved captures."""
         screened = [
             self._gain(hypothesis, start, free, self.sums.of_columns(np.r_[self._causes, columns]), columns)
             for start, free, columns in self.signatures.of_hypothesis[hypothesis.cause.name, hypothesis.variant]
@@ -141,7 +141,7 @@ class _Screening:
         return best
 
     def _with_better_time(self, best: ScreenedHypothesis, place: int) -> ScreenedHypothesis:
-        """Try the times around the best so far, ever closer, until its neighbours have been tried."""
+        """Try times around the best so far at decreasing distances, down to its direct neighbours."""
         times = times_between_captures(self.signatures.readings.observations.session.plan)
         stride = max(1, len(times) // (2 * _TIMES))
         while stride >= 1:
@@ -204,14 +204,14 @@ class _Screening:
 
 
 def best_fit(readings: WeighedReadings, current: Fit, screened: ScreenedHypothesis) -> Fit | None:
-    """Fit an explanation with one more cause, roughly, from the start that was screened."""
+    """Fit an explanation with one more cause, roughly, from the screened start."""
     corrected = current.explanation.plus(screened.hypothesis, screened.start)
     at = readings.predictor.extended(current.at, current.at.state, corrected)
     return fit(readings, corrected, screened.scatter, at=at, roughly=True)
 
 
 def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:
-    """Null values with every start of the parameters that have several; none where all captures have one time."""
+    """Return the null values combined with every start of SHAPE and TIME parameters; empty without times to try."""
     starts = [cause.null()]
     for number, parameter in enumerate(cause.parameters):
         if parameter.role is Role.SIZE:
