@@ -30,9 +30,9 @@ class Signature:
 
     Attributes:
         variant: way in which the cause acts.
-        parameter: of the cause.
-        change: (n, 2) of the readings by the usual size of the parameter, in units of sigma.
-        rms: of the change in each part, in the part's unit; None where it does nothing.
+        parameter: parameter of the cause.
+        change: (n, 2) change of the readings by the usual size of the parameter, in units of sigma.
+        rms: rms change in each part, in the part's unit; None where it has no effect.
     """
 
     variant: str
@@ -51,7 +51,7 @@ def signature_report(nominal: Bench, session: Session, cause: Cause, inputs: Seq
 
     Args:
         nominal: the bench as described.
-        session: the readings; only their places count.
+        session: the readings; only their places are used.
         cause: the cause.
         inputs: files and folders that were read.
 
@@ -90,7 +90,7 @@ def signature_report(nominal: Bench, session: Session, cause: Cause, inputs: Seq
 
 
 def _signatures(predictor: Predictor, cause: Cause, variant: str) -> list[Signature]:
-    """Return what each parameter of one variant does; a cause that acts from some moment on, from the middle on."""
+    """Return the signature of each parameter of one variant; a cause with a start time starts in the middle."""
     observations, start = predictor.observations, cause.null()
     times = times_between_captures(observations.session.plan)
     for number, parameter in enumerate(cause.parameters):
@@ -126,7 +126,7 @@ def _rms(part: str, signature: Signature) -> float | None:
 
 
 def _maps(predictor: Predictor, signatures: Sequence[Signature]) -> Iterator[Block]:
-    """Yield a map of each part that the parameters of a variant change."""
+    """Yield a map for each part of the session that the parameters of a variant change."""
     observations = predictor.observations
     everything, still = np.ones(len(observations), dtype=bool), np.zeros((len(observations), 2, 1))
     for part in np.unique(observations.part):

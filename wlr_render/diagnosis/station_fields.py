@@ -1,8 +1,8 @@
 """Fields at the stations of a bench: changes of every reading by a displacement of any smooth shape there.
 
 Physics acts at a station: the panel, a surface of the combiner, the camera's sensor, the target, the stage, or at a
-time. A displacement there moves a reading by the reading's derivative, which the simulator gives, times the
-displacement at the reading's coordinates of the station. A field is that displacement as a sum of smooth functions of
+time. A displacement at a station moves a reading by the derivative of the reading, which the simulator gives, times the
+displacement at the reading's coordinates of that station. A field is a displacement as a sum of smooth functions of
 the coordinates with unknown coefficients; every function is one column. Fields at different stations show where an
 effect acts, whatever its shape.
 """
@@ -28,8 +28,8 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, total_degree
 
 _LINE_DEGREES = (1, 2, 5, 10, 16, 24)  # degrees of functions of the row or of the column
-_FEWEST_TIMES = 4  # fewest times that show a drift
-_STEP_M = 1e-5  # finite-difference step of a dot on the target
+_FEWEST_TIMES = 4  # fewest distinct times that show a drift
+_STEP_M = 1e-5  # finite-difference step of a dot on the target, metres
 _DELAY = changed("clock", "latency_s", lambda old, ms: old + 1e-3 * float(ms[0])), np.array([0.02])
 _PUPIL = changed("eye_tracking", "bias", lambda old, mm: old + 1e-3 * mm), np.full(3, 1e-3)
 """Changes of the delay of the picture, ms, and of the pupil, mm, with their finite-difference steps."""
@@ -42,8 +42,8 @@ def station_fields(
 
     Args:
         readings: the readings.
-        like: fields of other readings; only the same ones are returned. None for all.
-        spot: on the combiner, millimetres, in which finer heights are tried; None for none.
+        like: fields of other readings; only fields of the same kinds are returned. None for all.
+        spot: spot on the combiner, millimetres, in which finer heights are tried; None for no spot.
     """
     plan = readings.observations.session.plan
     makers: list[tuple[str, Callable[[WeighedReadings], Iterator[StationField]]]] = []
@@ -73,7 +73,7 @@ def _predicted(readings: WeighedReadings) -> Readings:
 
 
 def _panel_lever(observations: Observations) -> FloatArray:
-    """Change (n_display, 2, 2) of the display's readings by a panel pixel along u and v."""
+    """Return the change (n_display, 2, 2) of the display's readings, in sigma, by a panel pixel along u and v."""
     return np.asarray(observations.camera_from_panel / observations.sigma_of(DISPLAY)[:, :, None])
 
 
@@ -82,7 +82,7 @@ def _panel_fields(readings: WeighedReadings, like: Sequence[StationField]) -> It
     plan = observations.session.plan.display
     assert plan is not None
     rows, lever = observations.part == DISPLAY, _panel_lever(observations)
-    # Where a smooth function is taken at a reading, it has the reading's noise in it, and may imitate that noise.
+    # Smooth functions are evaluated at predicted pixels: at measured ones they would contain the readings' noise.
     smooth_at = _predicted(readings).panel_pixel
     assert smooth_at is not None
     smooth = smooth_terms("panel pixels", smooth_at, 1, 2, 4, 6, 8)
@@ -107,10 +107,10 @@ def _with_viewpoint(degree: int, axis: int | None = None) -> IntArray:
 
 
 def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
-    """Shifts of the camera's image, the same in both parts.
+    """Yield shifts of the camera's image, the same in both parts.
 
-    A point imaged at c is read at c + g(c). The panel is read at given pixels, so that a reading there belongs to c -
-    g(c); a dot on the ray of its bare pixel moves with g there, too.
+    A point imaged at c is read at c + g(c). The panel is read at given camera pixels, so that such a reading belongs to
+    c - g(c). The shift at its bare pixel also moves a dot on the ray of that pixel.
     """
     observations = readings.observations
     place, dots = np.nan_to_num(observations.image_place), _predicted(readings).dot_pixel
@@ -120,7 +120,7 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     terms = smooth_terms("camera pixels", place, 1, 2, 4, 6, 8)
     plan = observations.session.plan.see_through
     if plan is not None and plan.bare_pixel is not None:
-        # A dot on the ray of its bare pixel was seen there by the same camera: a shift of both images moves no reading.
+        # The same camera saw such a dot at its bare pixel: a shift of both images moves no reading.
         still = still & (observations.part != SEE_THROUGH)
     sign = np.where(observations.part == DISPLAY, -1.0, 1.0) * still / observations.sigma_px
     lever = sign[:, None, None] * np.eye(2)
@@ -137,7 +137,7 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
 
 
 def _stage_fields(readings: WeighedReadings, like: Sequence[StationField]) -> Iterator[StationField]:
-    """Poses of the camera as functions of the stage's readings, the same in both parts."""
+    """Yield poses of the camera as functions of the stage's readings, the same in both parts."""
     observations, motions = readings.observations, readings.camera_motions
     stage, still = observations.of_captures("stage", 3), observations.part != RUN_TIME
     terms = smooth_terms("stage readings", 1e3 * stage[still], 1, 2, 3, 4).varying()
@@ -170,7 +170,7 @@ def _time_fields(readings: WeighedReadings) -> Iterator[StationField]:
 
 
 def _target_fields(readings: WeighedReadings) -> Iterator[StationField]:
-    """Displacements of the dots on the target, in its plane and out of it."""
+    """Yield displacements of the dots on the target, in its plane and out of it."""
     observations = readings.observations
     plan = observations.session.plan.see_through
     assert plan is not None
@@ -179,14 +179,14 @@ def _target_fields(readings: WeighedReadings) -> Iterator[StationField]:
     pitches = plan.dot / observations.nominal.target.pitch[plan.target_pose][:, None]
     shared = smooth_terms("place on the target", pitches, 1, 2, 4, 6, 8, 10)
     yield field_of("target", "displacement, the same at each pose", "mm", shared, lever, rows, "shift")
-    # A pose to each capture leaves nothing to hold out.
+    # With a pose for each capture, no capture can be held out.
     if 1 < len(poses) <= len(np.unique(plan.capture)) / 2:
         terms = smooth_terms("place on the target", pitches, 1, 2, 4, 6).for_each("target_pose", plan.target_pose)
         yield field_of("target", "displacement of its own at each pose", "mm", terms, lever, rows, "shift")
 
 
 def dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
-    """Change (m, 2, 3) of the dots' readings, in sigma, by a millimetre along the target's x, y and z."""
+    """Return the change (m, 2, 3) of the dots' readings, in sigma, by a millimetre along the target's x, y and z."""
     state = predictor.state(Explanation())
     assert state.views.dots is not None
     height = np.zeros(len(plan)) if plan.height is None else plan.height
@@ -201,7 +201,7 @@ def dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
 
 
 def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
-    """Return the fields of a recording of head motion: shifts of the virtual dot, and delays, by all variables."""
+    """Yield the fields of a recording of head motion: shifts of the virtual dot, and delays, by all variables."""
     observations, predictor = readings.observations, readings.predictor
     plan, views = observations.session.plan.run_time, predictor.state(Explanation()).views.run_time
     assert plan is not None

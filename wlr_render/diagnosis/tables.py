@@ -1,4 +1,4 @@
-"""The tables of a diagnosis; tables without content have no rows."""
+"""The tables of a diagnosis; a table without content has no rows."""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -21,12 +21,12 @@ from wlr_render.diagnosis.verdict_sentences import (
 )
 from wlr_render.report.blocks import Cell, Estimate, Number, ReportTable, table
 
-_UNCHANGED = 0.05  # percent: rounds to 0.0
-_RANKED = 6  # candidates of each place that the table shows
+_UNCHANGED = 0.05  # improvement in percent that rounds to 0.0
+_RANKED = 6  # number of candidates shown for each place
 
 
 class OfCause(NamedTuple):
-    """A row: one of the parameters, candidates or degenerate causes of a cause."""
+    """A table row: one parameter, candidate or degenerate cause of a cause."""
 
     cause: FoundCause
     each: Any
@@ -199,7 +199,7 @@ def captures_table(diagnosis: DiagnosisRecord) -> ReportTable:
         {
             "capture": "capture",
             "readings": "readings",
-            # Without causes both benches are one.
+            # Without a correction, both benches are the same.
             **(rms if diagnosis.is_corrected else {"rms (sigma)": "rms_before"}),
             "rms, whitened": lambda each: whitened.get(each.capture),
             "excluded": lambda each: "yes" if each.excluded else "",
@@ -235,7 +235,7 @@ def _component(attribute: str, number: int, moved: MovedCapture) -> Cell:
 
 
 def effects_table(diagnosis: DiagnosisRecord) -> ReportTable:
-    """Return the located effects that no cause has."""
+    """Return the located effects that no cause explains."""
     return table(
         "Effects that no cause has",
         diagnosis.effects,
@@ -334,19 +334,19 @@ def noise_table(diagnosis: DiagnosisRecord) -> ReportTable:
 
 
 def _percent(improvement: HeldOutImprovement, unchanged: str = "") -> Cell:
-    """Return an improvement with its error, or the word for one that rounds to zero."""
+    """Return an improvement with its error, or `unchanged`, if given, where it rounds to zero."""
     if unchanged and abs(improvement.percent) < _UNCHANGED:
         return unchanged
     return Estimate(improvement.percent, improvement.sigma)
 
 
 def with_unit(parameter: str, unit: str) -> str:
-    """Return the name of a parameter with its unit, as heads of columns have it."""
+    """Return the name of a parameter with its unit, as in column heads."""
     return parameter if unit == "1" else f"{parameter} ({unit})"
 
 
 def _odds(log10_odds: float) -> Cell:
-    """Return log10 odds, as words where the number says no more; None where they are not known."""
+    """Return log10 odds, as text where they are capped; None where they are unknown."""
     if not np.isfinite(log10_odds):
         return None
     return odds_text(log10_odds) if log10_odds > CERTAIN else Number(log10_odds, ".1f")

@@ -45,13 +45,13 @@ RESIDUALS = {
 }
 """Name of the residual of each part, the attribute of `ResidualSummary`, and the unit to append to a number."""
 
-_MUCH_NOISE = 1.5  # ratio of measured to stated noise from which "to its noise" would mislead
-_DECIDED = 2.0  # log10 odds against another station from which the session decides between them
-_CLEAR = 3.0  # standard errors from which the verdict counts a value
-_UNSURE = 0.5  # relative error of a size from which only its upper limit is stated
-_ABOUT_HALF = 0.05  # difference of a share from one half that is not worth a number
-_AS_STATED = 0.02  # relative difference of the noise that is not worth a word
-CERTAIN = 20.0  # log10 odds beyond which the number says no more
+_MUCH_NOISE = 1.5  # ratio of measured to stated noise beyond which "to its noise" would mislead
+_DECIDED = 2.0  # least log10 odds against another station at which the session decides between the two
+_CLEAR = 3.0  # standard errors beyond which the verdict counts a value
+_UNSURE = 0.5  # relative error of a size beyond which only an upper limit is stated
+_ABOUT_HALF = 0.05  # difference of a share from one half below which it is called half
+_AS_STATED = 0.02  # relative difference of the noise below which it is called as stated
+CERTAIN = 20.0  # log10 odds beyond which the exact number does not matter
 _MATRIX = "[["  # start of a typed list of lists, which is too long for a sentence
 
 AXES_NOTE = (
@@ -61,7 +61,7 @@ FRAME_NOTE = f'Vectors and rotations are in frame = "{WRITTEN_FRAME}".'
 
 
 def verdict_sentence(diagnosis: DiagnosisRecord) -> str:
-    """Return the verdict with its causes and effects, the residuals, and any unexplained rest."""
+    """Return the verdict with its causes and effects, the residuals, and any unexplained remainder."""
     noise = _larger_noise(diagnosis)
     if diagnosis.verdict == NO_EFFECT:
         to_its_noise = ": the bench as described predicts the session to its noise and repeatability"
@@ -76,7 +76,7 @@ def verdict_sentence(diagnosis: DiagnosisRecord) -> str:
 
 
 def _larger_noise(diagnosis: DiagnosisRecord) -> str:
-    """Return a clause on noise that is much larger than stated; empty where it is not, or not measured."""
+    """Return a clause on noise that is much larger than stated; empty if it is not, or if it was not measured."""
     floors = {floor.part: floor.measured_px / floor.stated_px for floor in diagnosis.noise_floors}
     noise = {part: ratio for part, ratio in floors.items() if ratio > _MUCH_NOISE}  # NaN where not measured
     if not noise:
@@ -113,13 +113,13 @@ def _left_over(diagnosis: DiagnosisRecord) -> list[str]:
 
 
 def _times_the_noise(diagnosis: DiagnosisRecord, part: str) -> float:
-    """Return the residual of a part with the causes found, over the residual that noise alone gives."""
+    """Return the ratio of a part's residual after the correction to the residual expected from noise alone."""
     _, attribute, _ = RESIDUALS[part]
     return float(getattr(diagnosis.after, attribute) / getattr(diagnosis.noise, attribute))
 
 
 def _changes(diagnosis: DiagnosisRecord) -> str:
-    """Return the residual before and after, with the expected level, for each part the causes affect; all if none."""
+    """Return the residual before and after, and its expected level, of each part that changed, or else of all parts."""
     unknown, changed, unchanged = undetermined_parts(diagnosis), list[str](), list[str]()
     for part, (name, attribute, unit) in RESIDUALS.items():
         if getattr(diagnosis.before, attribute) is None:
@@ -149,10 +149,9 @@ def bench_sentence(diagnosis: DiagnosisRecord) -> str:
 
 
 def undetermined_parts(diagnosis: DiagnosisRecord) -> set[str]:
-    """Return the parts with a residual by no cause that noise and repeatability of a usual size do not cover.
+    """Return the parts with an unexplained residual that exceeds noise and repeatability of the usual size.
 
-    The fit of the causes takes that residual for motions of the captures, so their size must not be read as
-    repeatability.
+    The fit attributes that residual to motions of the captures, so that their size is not the repeatability.
     """
     if diagnosis.verdict in (NO_EFFECT, EXPLAINED):
         return set()
@@ -174,7 +173,7 @@ def _repeatability(motion: MotionSize) -> str:
 
 
 def _size(value: float, error: float, unit: str, unusual: float) -> str:
-    """Return a size with its error, or its upper limit where the session shows no such size; empty if unknown."""
+    """Return a size with its error, or its upper limit where the error is too large; empty if unknown."""
     if error <= _UNSURE * value:
         return str(Estimate(value, error, unit))
     # A size that no reading depends on has an error of many powers of ten.
@@ -191,7 +190,7 @@ def _level(noise: NoiseFloor) -> str:
 
 
 def _shape(noise: NoiseFloor) -> list[str]:
-    """Return how the noise differs between places and photographs, and how much of it neighbours share."""
+    """Return phrases on how the noise differs between places and photographs, and how much neighbours share."""
     texts = []
     if noise.rim_factor != 1.0:
         trend = "rising" if noise.rim_factor > 1.0 else "falling"
@@ -223,7 +222,7 @@ def effect_sentence(effect: StationEffect) -> str:
 
 
 def _place_text(effect: StationEffect) -> str:
-    """Return the place of a spot on its station."""
+    """Return a phrase for the place of a spot at its station."""
     across, up = effect.place or (0.0, 0.0)
     if effect.station != "combiner":
         return f"at ({across:.3g}, {up:.3g}) {effect.length_unit}"
@@ -269,7 +268,7 @@ def _before_acting(cause: FoundCause, other: DegenerateCause) -> str:
 
 
 def _remedies(diagnosis: DiagnosisRecord) -> list[str]:
-    """Return one sentence for each remedy, with the causes that it is for."""
+    """Return one sentence for each remedy, with the causes that need it."""
     titles: dict[str, list[str]] = {}
     for cause in diagnosis.causes:
         titles.setdefault(cause.remedy or _REMEDIES[cause.part], []).append(cause.title)
@@ -289,7 +288,7 @@ def _corrected_values(diagnosis: DiagnosisRecord) -> list[str]:
 
 
 def _about_effect(effect: StationEffect) -> list[str]:
-    """Return the sources to look for, the gain by a correction, and the measurement that distinguishes two stations."""
+    """Return steps: sources to look for, the gain by a correction, and the measurement that separates two stations."""
     where, gain = STATIONS[effect.station][0], effect.held_out_improvement.percent
     worth = "A correction by the other captures does not improve captures left out."
     if gain > 0.0:
@@ -315,8 +314,8 @@ def _about_effect(effect: StationEffect) -> list[str]:
 def values_to_type(diagnosis: DiagnosisRecord) -> list[str]:
     """Return the keys of bench.toml that the causes change, e.g. "[target] scale = [0.99696, 0.99692]".
 
-    Each number has two digits of its error with the other values held: rounding correlated values by more would spoil
-    the fit. A changed prescription of the headset is not among them.
+    Each number is rounded to two digits of its error with the other values held fixed: coarser rounding of correlated
+    values would spoil the fit. A changed prescription of the headset is not included.
     """
     nominal, fit = diagnosis.observations.nominal, diagnosis.fit
     steps = fit.explanation.prior_sigma[fit.at.free] / np.sqrt(np.diag(fit.information))
@@ -325,14 +324,14 @@ def values_to_type(diagnosis: DiagnosisRecord) -> list[str]:
     for table, keys in changed_keys(nominal, diagnosis.corrected).items():
         for key, value in keys.items():
             change = [np.subtract(each.get(table, {}).get(key, value), value) for each in stepped]
-            # A matrix of a rotation is one only with all its digits.
+            # Rounding would make a rotation matrix non-orthogonal.
             sigma = np.zeros(np.shape(value)) if key == "rotation" else np.sqrt(np.sum(np.square(change), axis=0))
             lines.append(f"[{table}] {key} = {_typed(value, sigma + np.zeros(np.shape(value)))}")
     return lines
 
 
 def _changed_after_step(diagnosis: DiagnosisRecord, free: int, step: float) -> dict[str, dict[str, Any]]:
-    """Return the changed keys with one value a step higher, or lower where its cause fails there; none if both fail."""
+    """Return the changed keys with one value a step higher, or lower if its cause fails there; empty if both fail."""
     nominal, explanation = diagnosis.observations.nominal, diagnosis.fit.explanation
     for by in (step, -step):
         vector = explanation.vector()
@@ -343,7 +342,7 @@ def _changed_after_step(diagnosis: DiagnosisRecord, free: int, step: float) -> d
 
 
 def _typed(value: Any, sigma: Any) -> str:
-    """Return a number, or lists of numbers, to two digits of the standard error; to seven digits without one."""
+    """Return a number, or lists of numbers, to two digits of the standard error; without one, to seven digits."""
     if np.ndim(value):
         return f"[{', '.join(_typed(*each) for each in zip(value, sigma, strict=True))}]"
     if not 0 < sigma < float("inf"):
@@ -353,7 +352,7 @@ def _typed(value: Any, sigma: Any) -> str:
 
 
 def odds_text(log10_odds: float) -> str:
-    """Return log10 odds, capped where the number says no more."""
+    """Return log10 odds, capped at `CERTAIN`."""
     return f"> {CERTAIN:.0f}" if log10_odds > CERTAIN else f"{log10_odds:.1f}"
 
 
@@ -364,7 +363,7 @@ def value_text(parameter: ParameterValue) -> str:
 
 
 def _clearest(cause: FoundCause) -> str:
-    """Return the value with the largest ratio to its error, and how many others differ clearly from zero."""
+    """Return the value with the largest ratio to its error, and the number of others that clearly differ from zero."""
     known = [parameter for parameter in cause.parameters if parameter.sigma > 0] or list(cause.parameters)
     best = max(known, key=lambda parameter: abs(parameter.value) / (parameter.sigma or 1.0))
     others = sum(abs(each.value) > _CLEAR * each.sigma > 0 for each in cause.parameters if each is not best)
@@ -372,6 +371,6 @@ def _clearest(cause: FoundCause) -> str:
 
 
 def undecided(cause: FoundCause, settings: Settings) -> list[DegenerateCause]:
-    """Return the degenerate causes between which and the cause the session does not decide."""
+    """Return the degenerate causes that the session does not distinguish from the cause."""
     close = {each.name for each in cause.ranking if each.log10_odds < settings.decisive_odds}
     return [other for other in cause.degenerate if other.name in close]

@@ -1,9 +1,9 @@
 """Readings of a session with the errors that a bench gives them: noise, shared noise, and motions of the camera.
 
-Whitening transforms readings with correlated errors to readings with independent errors. Errors of a group of readings
-have the covariance 1 + U U': white noise of unit size, and the effect of a few random numbers of unit size on the whole
-group (a motion of the camera, noise that neighbours share). With U = Q S R' the readings are multiplied by
-1 - Q (1 - 1 / sqrt(1 + S^2)) Q', the inverse root of that covariance.
+Whitening transforms readings with correlated errors to readings with independent errors. The errors of a group of
+readings have the covariance 1 + U U': white noise of unit variance, and the effect of a few random numbers of unit
+variance on the whole group (a motion of the camera, noise that neighbours share). With U = Q S R' the readings are
+multiplied by 1 - Q (1 - 1 / sqrt(1 + S^2)) Q', the inverse square root of that covariance.
 """
 
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 from wlr_render.numerics.scatter import Scatter, ScatterSums
 
-_NEGLIGIBLE = 1e-4  # variance relative to white noise
+_NEGLIGIBLE = 1e-4  # variance, relative to white noise, below which a common error is dropped
 _STEPS = np.repeat([1.0, np.radians(600.0)], 3)  # steps of the camera's shift and turn: 1 um, then 600 udeg in urad
 
 
@@ -30,9 +30,9 @@ class _Group:
     """Readings that have common errors.
 
     Attributes:
-        rows: (m,) of the readings.
-        axes: (m, q) directions of errors that are equal but independent in both image axes, or (2 m, q) of joint
-            errors.
+        rows: (m,) indices of the readings.
+        axes: (m, q) error directions, if both image axes have independent errors of the same covariance; (2 m, q) for
+            joint errors of both axes.
         taken: (q,) share of each axis to subtract.
     """
 
@@ -47,14 +47,14 @@ class Whitening:
 
     Attributes:
         scale: (n,) factor of each reading.
-        groups: readings with common errors, which are taken off one after the other.
+        groups: readings with common errors, which are subtracted one after the other.
     """
 
     scale: FloatArray
     groups: tuple[_Group, ...] = ()
 
     def __call__(self, values: FloatArray) -> FloatArray:
-        """Values (n, 2) or (n, 2, p) in units of sigma, with independent errors of unit size."""
+        """Whiten values (n, 2) or (n, 2, p) in units of sigma."""
         white = values * self.scale.reshape(-1, *(1,) * (values.ndim - 1))
         for group in self.groups:
             mine = white[group.rows]
@@ -64,11 +64,11 @@ class Whitening:
         return white
 
     def then(self, rows: Iterable[IntArray], effects: Iterable[FloatArray]) -> "Whitening":
-        """Return the whitening with groups of readings that have further common errors.
+        """Return the whitening with further common errors of groups of readings.
 
         Args:
-            rows: (m,) of each group.
-            effects: (m, 2, q) of each group's random numbers of unit size, on white readings.
+            rows: (m,) readings of each group.
+            effects: (m, 2, q) effects, on the white readings, of each group's random numbers of unit variance.
         """
         groups = [_group(mine, effect.reshape(2 * len(mine), -1)) for mine, effect in zip(rows, effects, strict=True)]
         return Whitening(self.scale, (*self.groups, *(each for each in groups if each is not None)))
@@ -84,7 +84,7 @@ def _group(rows: IntArray, effects: FloatArray) -> _Group | None:
 
 
 def shared_noise_whitening(observations: Observations, noise: Noise) -> Whitening:
-    """Return the whitening of the noise that neighbouring readings share: its part that varies slowly over the image.
+    """Return the whitening of the slowly varying part of the noise that neighbouring readings share.
 
     Noise that varies faster than the polynomials of a smooth surface counts as white.
     """
@@ -113,13 +113,13 @@ class WeighedReadings:
 
     Attributes:
         predictor: predictor of the readings, without outliers; their sigma is the noise.
-        noise: of the session.
+        noise: noise of the session.
         shared: whitening of the noise that neighbours share.
         camera_motions: (n, 2, 6) change of the readings, in sigma, by a shift (micrometres) and a turn (microradians)
             of the camera in the reading's capture; zero at run time.
-        motions: (n, 2, 6) the same of the white readings.
-        effects: (n, 2, k) change of the readings, in sigma, by each function of the effects that are located, and
-        effect_sizes: (k,) standard deviations of their coefficients: random, and common to all readings.
+        motions: (n, 2, 6) the same for the white readings.
+        effects: (n, 2, k) change of the readings, in sigma, by each function of the located effects.
+        effect_sizes: (k,) standard deviations of their coefficients, which are random and common to all readings.
     """
 
     predictor: Predictor
@@ -149,7 +149,7 @@ class WeighedReadings:
         return self if keep.all() else WeighedReadings.of(self.predictor.of_rows(keep), self.noise)
 
     def whitening(self, scatter: Scatter) -> Whitening:
-        """Return the map that makes errors independent and of unit size, given the sizes of noise and motions."""
+        """Return the whitening for given sizes of noise and motions."""
         group, part = self.observations.group, self.observations.part
         names, rows = rows_by_label(group)
         sizes = scatter.sizes(self.observations.part_of_capture)[names]
@@ -165,7 +165,7 @@ class WeighedReadings:
         Args:
             scatter: sizes of noise and motions.
             part: index of the part.
-            captures: (captures,) whose motions count.
+            captures: (captures,) mask of the captures to include.
         """
         group = self.observations.group
         rows = (self.observations.part == part) & captures[group]
@@ -174,7 +174,7 @@ class WeighedReadings:
         return float(scatter.noise[part] ** 2 - 1.0) + 0.5 * float(np.mean(moved) if rows.any() else 0.0)
 
     def sums_at(self, at: Linearisation, fixed: ScatterSums | None = None) -> ScatterSums:
-        """Return the sums of a linearisation, with the priors of its free parameters, after columns that are fixed."""
+        """Return the sums of a linearisation, with the priors of its free parameters, appended to `fixed` sums."""
         sums = self.sums(at.residual, at.jacobian, -at.off_prior)
         return sums if fixed is None else fixed.joined(sums)
 
@@ -193,7 +193,7 @@ class WeighedReadings:
         return self.fixed(self.effects, self.effect_sizes)
 
     def fixed(self, columns: FloatArray, sigma: FloatArray | float = 1.0) -> ScatterSums:
-        """Return the sums over columns (n, 2, m) alone, to which sums of a residual and other columns are joined."""
+        """Return the sums over columns (n, 2, m) alone, to be joined by sums of a residual and other columns."""
         return self._sums(np.zeros(columns.shape[:2]), columns, 0.0, sigma)
 
     def _sums(
@@ -205,9 +205,10 @@ class WeighedReadings:
 
 
 def camera_motions(predictor: Predictor) -> FloatArray:
-    """Change of the readings (n, 2, 6) in sigma by a micrometre or a microradian of the camera; zero at run time.
+    """Return the change (n, 2, 6) of the readings, in sigma, by a micrometre or microradian of camera motion.
 
-    Where dots are placed by a photograph without the headset, it is a motion between the two photographs.
+    It is zero at run time. Where a photograph without the headset places the dots, the motion is between the two
+    photographs.
     """
     motions = _of_placed_dots(predictor).lever(_camera_moved, _STEPS)
     motions[predictor.observations.part == RUN_TIME] = 0.0
@@ -223,7 +224,7 @@ def _camera_moved(bench: Bench, motion: FloatArray) -> Bench:
 
 
 def _of_placed_dots(predictor: Predictor) -> Predictor:
-    """Return a predictor of the same readings whose dots are where the stated poses of the target place them."""
+    """Return a predictor of the same readings with dots placed by the stated poses of the target."""
     observations = predictor.observations
     session, plan = observations.session, observations.session.plan.see_through
     if plan is None or plan.bare_pixel is None:
