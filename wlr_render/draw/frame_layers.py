@@ -1,7 +1,7 @@
 """Geometry layers of a frame, per panel pixel: depth, position, normal, instance and albedo.
 
 The world ray of each pixel's centre meets the scene itself, whichever method draws the frame: the layers show the exact
-geometry, and no value is a mean over neighbouring surfaces, supersampled or not.
+geometry, and no value is a mean over neighbouring surfaces, even with supersampling.
 """
 
 from collections.abc import Collection
@@ -35,20 +35,20 @@ MEANINGS: dict[Layer, str] = {
     "instance": "id: number of the instance, from 1",
     "albedo": "linear RGB of the surface, without light",
 }
-"""What each layer holds, in words; 0 in every channel where a pixel shows nothing."""
+"""Content of each layer, in words; 0 in every channel of a pixel that shows nothing."""
 _ROWS_PER_BLOCK = 32
 
 
 def frame_layers(
     renderer: RayRenderer, rays: RayMap, world_from_device: FloatArray, layers: Collection[Layer] = LAYERS
 ) -> dict[str, NDArray[Any]]:
-    """Channels of the layers by name, (height, width) each.
+    """Return the channels of the layers by name, (height, width) each.
 
     Args:
-        renderer: of the scene.
-        rays: of all pixels at the frame's viewpoint.
+        renderer: renderer of the scene.
+        rays: rays of all pixels at the frame's viewpoint.
         world_from_device: (4, 4) head pose of the frame.
-        layers: those wanted.
+        layers: layers to return.
 
     Returns:
         float32, and uint32 for `INSTANCE`; `MEANINGS` has units and frames. 0 where a ray meets nothing or there is no

@@ -1,6 +1,6 @@
 """Rasterisation of a scene by our own OpenGL pass: colour and inverse depth.
 
-Vertices are carried into the camera frame with a matrix composed in float64, so that a viewpoint far from the world's
+Vertices are transformed to the camera frame with a matrix composed in float64, so that a viewpoint far from the world's
 origin costs no precision. Both sides of every triangle are drawn, without multisampling: a pixel shows what its
 centre sees.
 """
@@ -19,14 +19,14 @@ from wlr_render.warp.gpu_image import GpuImage, LatestViews, shader_intrinsics
 from wlr_render.warp.view import GeometryImage, View
 
 NEAR_M = 0.05
-"""Nothing nearer to the viewpoint than this is drawn."""
+"""Distance of the near plane from the viewpoint."""
 
 _COLOR = 0x1800
 _AT_INFINITY = (ctypes.c_float * 4)()
 
 
 class GlRaster:
-    """Draws one scene from any view; the meshes are uploaded once, instances of a mesh share them."""
+    """Draws one scene from any view; a mesh is uploaded once for all its instances."""
 
     def __init__(self, context: gl.GlContext, scene: Scene) -> None:
         self._context = context
@@ -56,7 +56,7 @@ class GlRaster:
             target.framebuffer.use()
             red, green, blue = self._background
             target.framebuffer.clear(red, green, blue, 1.0, 1.0)
-            self._clear_buffer(_COLOR, 1, _AT_INFINITY)  # ModernGL clears all colour buffers to one value
+            self._clear_buffer(_COLOR, 1, _AT_INFINITY)  # ModernGL would clear all colour buffers to one value
             self._context.depth_test()
             camera_from_world = transforms.inverse(view.world_from_camera)
             self._set_view(view, camera_from_world)

@@ -1,13 +1,13 @@
 """Path-traced frames on the panel's own rays: the only module that imports Mitsuba 3.
 
-Surfaces are matt on both sides, as in `shading.py`, whose colour is what direct light gives: Mitsuba's Lambert surface
-reflects 1/pi of the light, ours all of it, so lights are pi times as strong there. The ambient light is a sky of one
-colour, which corners and cracks see less of, and which the background does not show. An albedo above 1 is 1 here: paths
-would gain light without end.
+Surfaces are matt on both sides, as in `shading.py`, which draws direct light only. Mitsuba's Lambert surface reflects
+1/pi of the light and ours all of it, so lights are pi times as strong there. The ambient light is a sky of one colour,
+which corners and cracks see less of, and which the background does not show. An albedo above 1 is clipped to 1, because
+paths would gain light without end.
 
 Mitsuba compiles for the processor with LLVM, which it loads as a shared library: the only variant that takes arrays of
-rays without a GPU. An LLVM that is too old ends the whole process when the first path is compiled, so that its version
-is looked at before.
+rays without a GPU. An LLVM that is too old ends the whole process when the first path is compiled, so its version is
+checked before.
 """
 
 import contextlib
@@ -34,7 +34,7 @@ from wlr_render.scene.scene import Instance, LightSource, Mesh, Scene, world_nor
 from wlr_render.warp.ray_map import choose_plan
 
 LEAST_LLVM = 19
-"""Oldest LLVM with which paths were traced; up to 16 the process ends with "Cannot select: fminimum"."""
+"""Oldest LLVM that was tested; up to version 16 the process ends with "Cannot select: fminimum"."""
 _USE = "Path tracing"
 _VARIANT = "llvm_ad_rgb"
 _LLVM_PATH = "DRJIT_LIBLLVM_PATH"
@@ -80,7 +80,7 @@ class PathTracer:
         self._instance_of_number[numbers] = np.arange(len(numbers))
 
     def intersect(self, origin: Float32Array, direction: Float32Array) -> Intersections:
-        """Return the nearest intersection of each ray (n, 3), as `SceneTracer.intersect` does.
+        """Return the nearest intersection of each ray (n, 3), like `SceneTracer.intersect`.
 
         Mitsuba computes them: a frame's points are then exactly the starts of its paths, without a second tree of the
         scene, and a comparison with `SceneTracer` checks the scene that Mitsuba was given.
@@ -99,7 +99,7 @@ class PathTracer:
         return hits
 
     def light(self, origin: Float32Array, direction: Float32Array, seed: int) -> Float32Array:
-        """Light that one random path brings along each ray.
+        """Return the light that one random path brings along each ray.
 
         Args:
             origin, direction: (n, 3) float32 world frame; rays with a NaN see the background.
@@ -120,7 +120,7 @@ class PathTracer:
 
 
 class PathTracedPainter:
-    """Paths of light begin along the world ray of every display pixel; a `Painter`."""
+    """A `Painter` of path-traced frames: paths start along the world ray of every display pixel."""
 
     def __init__(
         self,
@@ -132,10 +132,10 @@ class PathTracedPainter:
         """Prepare.
 
         Args:
-            mappings: any pair, or one each for red, green and blue.
-            tracer: of the scene.
+            mappings: one pair for all colours, or one each for red, green and blue.
+            tracer: path tracer of the scene.
             samples: paths per pixel, spread evenly over the pixel; geometry is always sampled at the pixel centre.
-            seed: of the paths, one number or several; every frame has the same noise.
+            seed: seed of the paths, one number or several; every frame has the same noise.
         """
         self._channels = channels_of(mappings)
         self._tracer = tracer
@@ -164,10 +164,10 @@ class PathTracedPainter:
 
 
 def _offsets_in_pixel(count: int) -> FloatArray:
-    """Hammersley's points of a pixel, (count, 2) from its centre in pixels, in even steps along both axes.
+    """Return Hammersley points of a pixel, (count, 2) in pixels from its centre, evenly spaced along both axes.
 
-    The second coordinate is the rank of the number with mirrored bits: the mirrored numbers themselves are even, and
-    have the centre as their mean, only for powers of two. With any other mean the whole frame would be shifted.
+    The second coordinate is the rank of the bit-reversed number: the bit-reversed numbers themselves are evenly spaced
+    about the centre only for powers of two. With any other mean the whole frame would be shifted.
     """
     number = np.arange(count)
     mirrored = np.zeros(count)
@@ -178,7 +178,7 @@ def _offsets_in_pixel(count: int) -> FloatArray:
 
 
 def _finite_rays(mi: Any, origin: Float32Array, direction: Float32Array) -> tuple[Any, Any]:
-    """Return indices of the rays without NaN, and these rays as Mitsuba's."""
+    """Return the indices of the rays without NaN, and these rays in Mitsuba's type."""
     origin = np.broadcast_to(origin, direction.shape)
     index = np.flatnonzero(np.isfinite(origin).all(axis=1) & np.isfinite(direction).all(axis=1))
     start, towards = (np.ascontiguousarray(each[index].T, dtype=np.float32) for each in (origin, direction))
@@ -186,7 +186,7 @@ def _finite_rays(mi: Any, origin: Float32Array, direction: Float32Array) -> tupl
 
 
 def _registry_numbers(shape: Any) -> Any:
-    """Mitsuba's numbers of shapes (n,), 0 for none."""
+    """Return Mitsuba's registry numbers (n,) of shapes, 0 for no shape."""
     import drjit
 
     numbers: Any = drjit.reinterpret_array(drjit.uint32_array_t(type(shape)), shape)
@@ -229,7 +229,7 @@ def _albedo(mi: Any, mesh: Mesh) -> Any:
         return mi.load_dict(_texture(mi, np.minimum(texels * mesh.base_colour, 1)))
     texture, colour = mi.load_dict(_texture(mi, texels)), mi.load_dict(attribute)
 
-    class Product(mi.Texture):  # type: ignore[misc]  # Mitsuba has no texture that multiplies two others
+    class Product(mi.Texture):  # type: ignore[misc]  # Mitsuba has no product texture
         def eval(self, surface: Any, active: Any = True) -> Any:
             return drjit.minimum(1, texture.eval(surface, active) * colour.eval(surface, active))
 
@@ -256,7 +256,7 @@ def _light(light: LightSource) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _mitsuba() -> Iterator[Any]:
-    """Mitsuba with the variant that we use; the caller's own variant is restored at the end.
+    """Yield Mitsuba with the variant that we use; restore the caller's variant at the end.
 
     Raises:
         MissingExtraError: Mitsuba is not installed or does not load, or no usable LLVM is installed.
@@ -298,12 +298,12 @@ def _choose_llvm() -> None:
 
 
 def _installed_llvm() -> list[Path]:
-    patterns = (*_LLVM_FILES.get(sys.platform, ()), f"{sys.prefix}/lib/libLLVM*")  # the latter: conda's
+    patterns = (*_LLVM_FILES.get(sys.platform, ()), f"{sys.prefix}/lib/libLLVM*")  # the last pattern is for conda
     return [Path(path) for pattern in patterns for path in glob.glob(pattern)]
 
 
 def _version_in_path(path: Path) -> tuple[int, ...]:
-    """Return the numbers behind "llvm" in a path: libLLVM-19.so, libLLVM.so.19.1, llvm@19/lib/libLLVM.dylib.
+    """Return the numbers after "llvm" in a path: libLLVM-19.so, libLLVM.so.19.1, llvm@19/lib/libLLVM.dylib.
 
     Links are followed: Homebrew's opt/llvm leads to Cellar/llvm/21.1.0.
     """
@@ -312,7 +312,7 @@ def _version_in_path(path: Path) -> tuple[int, ...]:
 
 
 def _llvm_version(path: Path) -> int | None:
-    """Major version of a library, 0 of one before 16, which does not tell; None if it cannot be loaded."""
+    """Return the major version of a library, 0 before 16 without LLVMGetVersion; None if it cannot be loaded."""
     try:
         library = ctypes.CDLL(str(path))
     except OSError:

@@ -27,24 +27,24 @@ SUPERSAMPLE = 2
 """Default rays per pixel along each axis where a ray-traced pixel differs from a neighbour."""
 
 _WHITE = 255
-_SATURATED = 0.01  # share of a frame's pixels; fewer saturated ones are highlights
+_SATURATED = 0.01  # smallest share of saturated pixels for a warning; a smaller one is highlights
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
     """The image of one eye's panel, from `render`; `save` writes it as a PNG.
 
-    "Of each channel" means one for all colours, or one each for red, green and blue.
+    "Per channel" means one for all colours, or one each for red, green and blue.
 
     Attributes:
         make_colour: returns `colour`; it may wait for the GPU, or trace further rays.
         solve_ray_maps: returns the ray map of each channel; see `ray_maps`.
-        traced: of each channel (height, width, 3) float32, the world point that ray tracing found for each pixel, NaN
-            where none; on request, empty for a warped frame.
-        sources: of each channel (height, width, 3) float32, the pull map of a warped frame: position (u, v) in the
-            intermediate image and the inverse depth found there (1/m), NaN where none; on request, empty for a
-            ray-traced frame.
-        view, intermediate: the intermediate image of a warped frame and from where it was drawn; on request.
+        traced: per channel (height, width, 3) float32, the world point that ray tracing found for each pixel, else NaN;
+            on request, empty for a warped frame.
+        sources: per channel (height, width, 3) float32, the pull map of a warped frame: position (u, v) in the
+            intermediate image and the inverse depth found there (1/m), else NaN; on request, empty for a ray-traced
+            frame.
+        view, intermediate: the view and the intermediate image of a warped frame; on request.
     """
 
     make_colour: Callable[[], NDArray[np.uint8]]
@@ -69,22 +69,22 @@ class Frame:
 
     @cached_property
     def ray_maps(self) -> tuple[RayMap, ...]:
-        """World rays of each channel, solved at all pixels when first asked for; `status` says why a pixel has none."""
+        """World rays of each channel, solved at all pixels on first use; `status` says why a pixel has no ray."""
         return self.solve_ray_maps()
 
     @property
     def ray_map(self) -> RayMap:
-        """The only or the green channel's."""
+        """Ray map of the only channel or of green."""
         return middle_channel(self.ray_maps)
 
     @property
     def source(self) -> Float32Array | None:
-        """The only or the green channel's pull map."""
+        """Pull map of the only channel or of green."""
         return middle_channel(self.sources) if self.sources else None
 
     @cached_property
     def position(self) -> Float32Array | None:
-        """(height, width, 3) float32, the world point that each pixel shows (in green), NaN where none; on request."""
+        """World points (height, width, 3) float32 that the pixels show (in green), else NaN; on request."""
         if self.traced:
             return middle_channel(self.traced)
         return None if self.view is None or self.source is None else position_of_source(self.view, self.source)
@@ -93,11 +93,11 @@ class Frame:
 def is_blank(colour: NDArray[np.uint8]) -> bool:
     """Return whether all pixels of a frame (height, width, 3) have one colour: no edge of the scene is visible."""
     flat = colour.reshape(-1)
-    return bool((flat[3:] == flat[:-3]).all())  # 30 times as fast as comparison with one pixel
+    return bool((flat[3:] == flat[:-3]).all())  # 30 times as fast as comparing with one pixel
 
 
 def blank_warnings(names: Sequence[str], scene: str) -> list[str]:
-    """Return a sentence if there are frames that show nothing of a scene, given the names of those frames."""
+    """Return a sentence if there are frames that show nothing of a scene, given their names."""
     if not names:
         return []
     which = names[0] if len(names) == 1 else f"{len(names)} frames, {names[0]} the first,"
@@ -108,7 +108,7 @@ def blank_warnings(names: Sequence[str], scene: str) -> list[str]:
 
 
 def saturation_warnings(scene: Scene, frames: Iterable[NDArray[np.uint8]]) -> list[str]:
-    """Return a sentence if lights of a scene burn out part of one of these frames, drawn only if a light may."""
+    """Return a sentence if lights of a scene saturate part of a frame; frames are drawn only if a light may do so."""
     lights = scene.bright_lights()
     share = max((float(np.mean((frame == _WHITE).any(axis=-1))) for frame in frames if lights), default=0.0)
     if share < _SATURATED:
@@ -135,38 +135,38 @@ class Painter(Protocol):
         Args:
             viewpoint: (3,) entrance pupil, device frame.
             world_from_device: (4, 4) head pose.
-            with_geometry: also give what `Frame` has on request.
+            with_geometry: also return the attributes that `Frame` has on request.
         """
 
 
 def channels_of(mappings: Eye | Sequence[Eye]) -> EyeChannels:
-    """One pair of mappings, or one each for red, green and blue, as a tuple."""
+    """Return one pair of mappings, or one each for red, green and blue, as a tuple."""
     return (mappings,) if isinstance(mappings, Eye) else tuple(mappings)
 
 
 def by_colour(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """Return the picture for all colours, or the red, green and blue of one picture each."""
+    """Return the one picture for all colours, or combine red, green and blue from one picture each."""
     return pictures[0] if len(pictures) == 1 else np.stack([each[..., k] for k, each in enumerate(pictures)], axis=-1)
 
 
 def ray_maps_of(channels: EyeChannels, plans: Sequence[RayMapPlan], viewpoint: FloatArray) -> tuple[RayMap, ...]:
-    """Ray map of each channel at a viewpoint (3,)."""
+    """Return the ray map of each channel at a viewpoint (3,)."""
     return tuple(ray_map(mappings, viewpoint, plan) for mappings, plan in zip(channels, plans, strict=True))
 
 
 def ray_maps_between_pixels(
     mappings: Eye, plan: RayMapPlan, rays: RayMap, offsets_px: Iterable[FloatArray]
 ) -> Iterator[RayMap]:
-    """Ray maps of points at offsets (2,) from the centres of the pixels, at the viewpoint of the ray map of these."""
+    """Yield ray maps at offsets (2,) from the pixel centres, at the viewpoint of `rays`, the centres' ray map."""
     for offset_px in offsets_px:
         moved = RayMapPlan.with_nodes(plan.panel, plan.node_count, plan.device_from_camera, offset_px)
         yield ray_map(mappings, rays.viewpoint_in_device, moved, rays.warm_start)
 
 
 def rays_within_pixels(rays: RayMap, pixel: NDArray[np.intp], offsets_px: FloatArray) -> RayMap:
-    """Ray map (n, count) of points at offsets (count, 2) from the centres of pixels (n,), counted row by row.
+    """Return the ray map (n, count) at offsets (count, 2) from the centres of pixels (n,), numbered row by row.
 
-    Linear between neighbouring pixels; beside a pixel without a ray all are those of the centre.
+    Rays are linear between neighbouring pixels; next to a pixel without a ray, all equal the centre's.
     """
     (height, width), flat = rays.shape, rays.slope_offset.reshape(4, -1)
     row, column = np.divmod(pixel, width)
@@ -180,7 +180,7 @@ def rays_within_pixels(rays: RayMap, pixel: NDArray[np.intp], offsets_px: FloatA
 
 
 class TracedPainter:
-    """Every display pixel's world ray is a primary ray."""
+    """A `Painter` of ray-traced frames: the world ray of every display pixel is a primary ray."""
 
     def __init__(
         self,
@@ -192,10 +192,10 @@ class TracedPainter:
         """Prepare.
 
         Args:
-            mappings: any pair, or one each for red, green and blue.
-            renderer: of the scene.
-            supersample: rays per pixel along each axis, where a pixel differs from its neighbours; elsewhere there is
-                one. Geometry is always sampled at the pixel centre.
+            mappings: one pair for all colours, or one each for red, green and blue.
+            renderer: renderer of the scene.
+            supersample: rays per pixel along each axis where a pixel differs from its neighbours, else one. Geometry is
+                always sampled at the pixel centre.
             shadows: whether surfaces cast shadows.
         """
         self._channels = channels_of(mappings)
@@ -211,7 +211,7 @@ class TracedPainter:
         world_from_device: FloatArray,
         with_geometry: bool = False,
     ) -> Frame:
-        """Return a ray-traced frame; rays beyond one a pixel are traced when its colour is first asked for."""
+        """Return a ray-traced frame; more than one ray per pixel is traced only when its colour is first used."""
         ray_maps = ray_maps_of(self._channels, self._plans, viewpoint)
         colours, traced = [], []
         for rays in ray_maps:
@@ -237,7 +237,7 @@ class TracedPainter:
 
 
 def with_inverse_depth(intermediate: GeometryImage, source: Float32Array) -> Float32Array:
-    """Pull map (height, width, 2) -> (height, width, 3) with the inverse depth found at the source."""
+    """Extend a pull map (height, width, 2) to (height, width, 3) by the inverse depth found at the source."""
     found = np.isfinite(source[..., 0])
     depth = np.full(source.shape[:2], np.nan, np.float32)
     depth[found] = inverse_depth_at(intermediate.inverse_depth, source[found])
@@ -261,7 +261,7 @@ def inverse_depth_at(inverse_depth: Float32Array, source: Float32Array) -> Float
 
 
 def position_of_source(view: View, source: Float32Array) -> Float32Array:
-    """World points (height, width, 3) that a pull map with inverse depths shows; NaN without one."""
+    """Return the world points (height, width, 3) that a pull map with inverse depths shows; NaN without a source."""
     inverse = np.where(source[..., 2] > 0, source[..., 2], np.nan).astype(np.float64)
     tangents = view.camera.tangents_of_pixel(source[..., :2].astype(np.float64))
     in_camera = np.concatenate([tangents, -np.ones((*inverse.shape, 1))], axis=-1) / inverse[..., None]

@@ -1,8 +1,8 @@
 """The intermediate image drawn by pyrender: glTF's metallic-roughness materials instead of our Lambert shading.
 
 Geometry agrees with `gl_raster.GlRaster`; colours differ by design (gloss, and a gamma of 2.2 for sRGB). pyrender opens
-neither a window nor a context here: its renderer draws in our context, and `gl.GlContext.drawing` clears up the
-switches that it leaves on.
+neither a window nor a context here: its renderer draws in our context, and `gl.GlContext.drawing` resets the
+state that it leaves behind.
 """
 
 import contextlib
@@ -31,21 +31,21 @@ from wlr_render.warp.stored_picture import DepthKind, StoredDepth
 from wlr_render.warp.view import GeometryImage, View
 
 _FAR_M = 1e9  # has the same effect as infinity in float32
-_PLATFORMS = {"egl", "osmesa"}  # platforms that PyOpenGL must be told to use
+_PLATFORMS = {"egl", "osmesa"}  # platforms that must be set in PyOpenGL
 _TEXTURE_2D, _UNPACK_ALIGNMENT = 0x0DE1, 0x0CF5
-_IN_CODES = "baseColorTexture", "emissiveTexture"  # textures that pyrender's shader decodes after filtering
-_BRDF_NORMALISATION = np.pi  # pyrender divides albedo by pi, our shading model does not
+_IN_CODES = "baseColorTexture", "emissiveTexture"  # textures that pyrender's shader decodes from sRGB after filtering
+_BRDF_NORMALISATION = np.pi  # pyrender divides albedo by pi; our shading model does not
 
 
 class PyrenderDrawing:
     """Draws a caller's pyrender scene from any view.
 
-    What it loads is freed with the context. A pyrender mesh lives in one context: a caller who also draws the scene
-    with a renderer of his own makes it twice.
+    The loaded meshes and textures are freed with the context. A pyrender mesh lives in one context: a caller who also
+    draws the scene with another renderer must make the scene twice.
 
     Raises:
         BadInputError: the node has no camera or is not in the scene, or PyOpenGL already serves another kind of context
-            in this process; or, when it draws, a mesh that was loaded in another context.
+            in this process; or, on drawing, a mesh was loaded in another context.
     """
 
     def __init__(self, context: gl.GlContext, graph: Any, camera_node: Any) -> None:
@@ -103,7 +103,7 @@ class PyrenderView:
 
     def draw_on_gpu(self, view: View, name: str = "") -> GpuImage:
         """Draw and leave the picture on the GPU; the next drawing of the same name overwrites it."""
-        # The scene is put before a camera at the origin, in float64: pyrender computes in float32.
+        # The scene is moved in front of a camera at the origin, in float64: pyrender computes in float32.
         camera_from_world = transforms.inverse(view.world_from_camera)
         for node, instance in zip(self._instance_nodes, self._scene.instances, strict=True):
             self._graph.set_pose(node, camera_from_world @ instance.world_from_mesh)
@@ -115,7 +115,7 @@ class PyrenderView:
 
 @contextlib.contextmanager
 def _standing_at(pyrender: Any, graph: Any, node: Any, view: View) -> Iterator[StoredDepth]:
-    """Give a camera node a view's pose and intrinsics for a while; what its depth buffer then holds."""
+    """Give a camera node a view's pose and intrinsics in a block; yield the content of its depth buffer then."""
     camera, pose, main = node.camera, node.matrix.copy(), graph.main_camera_node
     (focal_u, focal_v), (centre_u, centre_v) = view.camera.focal_px, view.camera.centre_px
     far = _FAR_M if camera.zfar is None else camera.zfar
@@ -132,11 +132,11 @@ def _standing_at(pyrender: Any, graph: Any, node: Any, view: View) -> Iterator[S
 
 
 def _import_pyrender(backend: str) -> Any:
-    if backend not in _PLATFORMS:  # a window's, where PyOpenGL needs no telling
+    if backend not in _PLATFORMS:  # a window's platform, which PyOpenGL finds without help
         import pyrender
 
         return pyrender
-    # pyrender imports its window, which wants X11 unless told otherwise; PyOpenGL chooses its library at import.
+    # pyrender imports its window, which needs X11 unless it is headless; PyOpenGL chooses its library at import.
     chosen = _platform_of_pyopengl() or os.environ.setdefault("PYOPENGL_PLATFORM", backend)
     if chosen != backend:
         raise BadInputError(
@@ -159,10 +159,10 @@ def _platform_of_pyopengl() -> str:
 
 
 def _renderer(pyrender: Any, loader: "_Loader", bind_target: Callable[[], None]) -> Any:
-    """Return a renderer of pyrender's that draws one sample at the pixel's centre into the target that is bound.
+    """Return a pyrender renderer that draws one sample at each pixel's centre into the bound target.
 
-    With `RenderFlags.OFFSCREEN` pyrender would draw four samples, keep the depth of the first, which lies
-    (-1/8, +3/8) pixels off the centre, and read the picture back.
+    With `RenderFlags.OFFSCREEN` pyrender would draw four samples, keep the depth of the first, which is (-1/8, +3/8)
+    pixels from the centre, and read the picture back.
     """
 
     def configure(renderer: Any, flags: int) -> None:
@@ -172,7 +172,7 @@ def _renderer(pyrender: Any, loader: "_Loader", bind_target: Callable[[], None])
     methods = {
         "_configure_forward_pass_viewport": configure,
         "_update_context": lambda renderer, graph, flags: loader(graph),
-        # Python's garbage collection would delete objects of these numbers in whichever context is current then.
+        # On garbage collection, `delete` would delete objects with these numbers in whichever context is current.
         "delete": lambda renderer: None,
     }
     return type("Renderer", (pyrender.Renderer,), methods)(1, 1)
@@ -201,7 +201,7 @@ class _Loader:
                 "contexts: make the scene a second time for PyrenderDrawing."
             )
         self._in_context.update(missing)
-        # pyrender uploads rows of any length and leaves their alignment as it is.
+        # pyrender uploads rows of any length without setting their alignment.
         self._context.function("glPixelStorei", ctypes.c_uint, ctypes.c_int)(_UNPACK_ALIGNMENT, 1)
         for thing in missing:
             thing._add_to_context()
@@ -218,7 +218,7 @@ class _Loader:
         self._loaded = set()
 
     def _refill(self, texture: Any, holds_codes: bool) -> None:
-        """Replace the mip levels that the driver made by means over all texels."""
+        """Replace the driver's mip levels by means over all texels."""
         height, width = texture.source.shape[:2]
         self._levels.refill(self._context.third_party_texture(texture._texid, (width, height)), holds_codes)
 
@@ -234,7 +234,7 @@ def _mesh(pyrender: Any, mesh: Mesh) -> Any:
         roughnessFactor=1.0,
         doubleSided=True,
     )
-    # pyrender stores textures upwards.
+    # pyrender stores textures bottom row first.
     uv = None if mesh.uv is None else mesh.uv * [1, -1] + [0, 1]
     return pyrender.Mesh(
         [
@@ -258,7 +258,7 @@ def _light(pyrender: Any, light: LightSource) -> Any:
 
 
 def _world_from_light(light: LightSource) -> NDArray[np.float64]:
-    """Return a pose at a point light, or one whose -z axis a directional light follows."""
+    """Return a pose at a point light, or with -z along a directional light."""
     if light.kind == "point":
         return transforms.rigid(np.eye(3), light.vector)
     backwards = -light.vector / np.linalg.norm(light.vector)

@@ -29,7 +29,7 @@ class WarpedPainter:
         """Prepare.
 
         Args:
-            mappings: any pair, or one each for red, green and blue.
+            mappings: one pair for all colours, or one each for red, green and blue.
             raster: the scene, in a context of this library's own.
             resolution: 1 gives the intermediate image about as many pixels as the display has, 2 four times as many.
             raster_camera: position of the camera of the intermediate image: "viewpoint", as in the paper, or "nearest"

@@ -36,7 +36,7 @@ class Intersections:
 
     @classmethod
     def misses(cls, count: int) -> "Intersections":
-        """Rays that meet nothing, (count,), to be filled in."""
+        """Return `count` misses, to be overwritten by `fill`."""
         nothing, zero = np.full((2, count), -1, np.int32), np.zeros((2, count), np.float32)
         return cls(np.full(count, np.inf, np.float32), *nothing, *zero)
 
@@ -45,7 +45,7 @@ class Intersections:
         return Intersections(*(each.reshape(shape) for each in self._arrays()))
 
     def fill(self, where: slice | NDArray[np.intp], hits: "Intersections") -> None:
-        """Write `hits` into some places."""
+        """Write `hits` at some indices."""
         for mine, theirs in zip(self._arrays(), hits._arrays(), strict=True):
             mine[where] = theirs
 
@@ -57,18 +57,18 @@ class SceneTracer:
     """Intersects rays with one scene."""
 
     def __init__(self, scene: Scene) -> None:
-        # Here, because the command line must start without it.
+        # Imported here, because the command line must start without embreex.
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
         self.scene = scene
-        # Otherwise rays aimed at an edge may slip through between its two triangles; it costs a few per cent.
+        # Without robust mode, rays aimed at an edge may slip between its two triangles; it costs a few per cent.
         self._embree = EmbreeScene(robust=True)
         for instance in scene.instances:
             mesh = scene.mesh_of(instance)
             position = world_positions(mesh, instance).astype(np.float32)
             TriangleMesh(self._embree, position, mesh.triangles.astype(np.int32))
-        # The first query builds the tree; it must not happen in several threads at once.
+        # The first query builds the tree, which must not happen in several threads at once.
         self._embree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
 
     def intersect(self, origin: ArrayLike, direction: ArrayLike) -> Intersections:
@@ -97,7 +97,7 @@ class SceneTracer:
 
     def _run(self, origin: Float32Array, direction: Float32Array) -> Intersections:
         distance = np.full(len(direction), np.inf, np.float32)
-        # Embree shortens the reach it is given to the hit, in place.
+        # Embree shortens the given reach to the hit, in place.
         found = self._embree.run(origin, direction, dists=distance, output=True)
         return Intersections(distance, found["geomID"], found["primID"], found["u"], found["v"])
 
@@ -105,7 +105,7 @@ class SceneTracer:
         """Return whether a surface lies on each ray nearer than `distance`; runs on all processors.
 
         Args:
-            origin, direction: as for `intersect`.
+            origin, direction: see `intersect`.
             distance: (...) in lengths of the direction; may be inf.
 
         Returns:
@@ -131,7 +131,7 @@ def _flat(origin: ArrayLike, direction: ArrayLike) -> tuple[Float32Array, Float3
 
 
 def _finite_rays(origin: Float32Array, direction: Float32Array) -> NDArray[np.intp] | None:
-    """Return indices of the rays without NaN or infinity; None for all of them, the usual case."""
+    """Return the indices of rays without NaN or infinity; None if all are finite, the usual case."""
     if np.isfinite(direction).all() and np.isfinite(origin).all():
         return None
     return np.flatnonzero(np.isfinite(origin).all(axis=1) & np.isfinite(direction).all(axis=1))

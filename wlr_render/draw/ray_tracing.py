@@ -22,27 +22,27 @@ from wlr_render.scene.scene import Scene
 _Value = TypeVar("_Value", bound=np.generic)
 
 RaysOfRows = Callable[[slice], tuple[Float32Array, Float32Array]]
-"""Some rows of a picture -> origins and directions of their rays, world frame; the direction (n, 3) float32 with
-n = rows * width, row by row, and the origin (n, 3) or (3,). Rays with a NaN see the background. Called from several
-threads at once."""
+"""Function of some rows of a picture to the origins and directions of their rays, world frame; the direction (n, 3)
+float32 with n = rows * width, row by row, and the origin (n, 3) or (3,). Rays with a NaN see the background. Called
+from several threads at once."""
 
 RaysWithinPixels = Callable[[NDArray[np.intp]], tuple[Float32Array, Float32Array]]
-"""Pixels (n,), counted row by row -> origins and directions of some rays within each, both (n * count, 3) float32
-pixel by pixel, otherwise as `RaysOfRows`."""
+"""Function of pixels (n,), numbered row by row, to origins and directions of some rays within each, both
+(n * count, 3) float32 pixel by pixel; otherwise like `RaysOfRows`."""
 
 _RAYS_PER_BLOCK = 1 << 16
 _DIFFERENCE = 8
-"""Codes by which a pixel and its neighbour must differ in some colour to be drawn with several rays."""
+"""Difference to a neighbour in some colour, in codes, above which a pixel is drawn with several rays."""
 
 
 @dataclass(frozen=True, eq=False)
 class TracedImage:
-    """A picture of any rays and, per pixel, what its ray meets. Rows run down, as the caller's rays do.
+    """A picture of any rays and, per pixel, the point that its ray meets. Rows run down, like the caller's rays.
 
     Attributes:
         colour: (height, width, 3) uint8 sRGB.
-        distance: (height, width) float32 along the ray, in lengths of its direction; inf where nothing is.
-        position: (height, width, 3) float32 world frame, NaN where nothing is; None when not asked for.
+        distance: (height, width) float32 along the ray, in lengths of its direction; inf for a miss.
+        position: (height, width, 3) float32 world frame, NaN for a miss; None if not requested.
     """
 
     colour: NDArray[np.uint8]
@@ -51,7 +51,7 @@ class TracedImage:
 
     @classmethod
     def empty(cls, shape: tuple[int, int], with_position: bool) -> "TracedImage":
-        """Images to be filled in."""
+        """Return images to be filled in."""
         position = np.full((*shape, 3), np.nan, np.float32) if with_position else None
         return cls(np.empty((*shape, 3), np.uint8), np.empty(shape, np.float32), position)
 
@@ -67,12 +67,12 @@ class RayRenderer:
     def render_blocks(
         self, shape: tuple[int, int], rays_of_rows: RaysOfRows, with_position: bool = False, shadows: bool = False
     ) -> TracedImage:
-        """Return a frame whose rays are made as they are needed, in the thread that traces them.
+        """Return a frame of rays that are made when they are needed, in the thread that traces them.
 
         Args:
             shape: (height, width).
             rays_of_rows: see `RaysOfRows`.
-            with_position: also return the points that the rays meet.
+            with_position: True to return the points that the rays meet as well.
             shadows: whether surfaces cast shadows.
         """
         image = TracedImage.empty(shape, with_position)
@@ -106,11 +106,10 @@ class RayRenderer:
     ) -> None:
         """Replace the pixels of a frame that differ from a neighbour by means in linear light, in place.
 
-        Pixels beside those that it replaces are compared again, so that a thin line is followed where single rays miss
-        it.
+        The neighbours of replaced pixels are compared again, so that a thin line is followed where single rays miss it.
 
         Args:
-            colour: (height, width, 3) uint8 sRGB, one ray a pixel.
+            colour: (height, width, 3) uint8 sRGB, one ray per pixel.
             count: rays per pixel in place of one.
             rays_within: see `RaysWithinPixels`.
             shadows: whether surfaces cast shadows.
@@ -130,7 +129,7 @@ class RayRenderer:
             for_blocks(render, chosen.size, max(1, _RAYS_PER_BLOCK // count))
             flat[chosen] = means
             is_mean[chosen] = True
-            # Another pixel's neighbours are as they were.
+            # The neighbours of other pixels have not changed.
             beside = _neighbours_that_differ(colour, chosen)
             chosen = beside[~is_mean[beside]]
 
@@ -151,7 +150,7 @@ def _differs_from_neighbour(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _neighbours_that_differ(colour: NDArray[np.uint8], pixel: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the pixels that differ so from a neighbour among these (n,), each once; counted row by row."""
+    """Return the pixels that differ by more from a neighbour in `pixel` (n,), each once; numbered row by row."""
     (height, width), flat = colour.shape[:2], colour.reshape(-1, 3)
     row, column = np.divmod(pixel, width)
     found = []
@@ -175,23 +174,23 @@ def _flat_rows(image: NDArray[_Value], rows: slice) -> NDArray[_Value]:
 def _scattered(
     components: NDArray[_Value], index: NDArray[np.intp], count: int, background: NDArray[_Value]
 ) -> NDArray[_Value]:
-    """(3, m) of chosen rays -> (count, 3), with the background elsewhere."""
+    """Return components (3, m) of chosen rays as (count, 3), with the background elsewhere."""
     if len(index) == count:
         return components.T
     result = np.empty((count, 3), components.dtype)
     for column, component, value in zip(result.T, components, background, strict=True):
         column[:] = value
-        column[index] = component  # a fifth of the time of an assignment of rows
+        column[index] = component  # takes a fifth of the time of assigning rows
     return result
 
 
 @dataclass(frozen=True, eq=False)
 class EyeView:
-    """An eyeball camera's picture before the display is switched on, and where it sees the panel.
+    """An eyeball camera's picture with the display off, and the panel pixels that it sees.
 
     Attributes:
         real: (height, width, 3) uint8 sRGB, the real scene as seen through the combiner.
-        panel_pixel: (height, width, 2) which panel pixel is reflected there, NaN where none is.
+        panel_pixel: (height, width, 2) pixel of the panel that is reflected there, NaN where there is none.
     """
 
     real: NDArray[np.uint8]
@@ -219,8 +218,8 @@ def eye_view(
     """Render the eyeball camera's view through the optics.
 
     Args:
-        truth: the mappings of the optics that the eye really looks through.
-        renderer: of the real scene.
+        truth: mappings of the true optics, which the eye looks through.
+        renderer: renderer of the real scene.
         viewpoint: (3,) entrance pupil, device frame.
         world_from_device: (4, 4) head pose.
         camera: the eyeball camera; axes of the device frame.

@@ -25,7 +25,7 @@ _renderer_of = lru_cache(maxsize=2)(RayRenderer)  # keeps the acceleration struc
 
 @lru_cache(maxsize=4)
 def _traced_painter(eye: Eye, scene: Scene, shadows: bool, supersample: int) -> TracedPainter:
-    """Return the painter of an eye's ray-traced frames; kept for the next frames."""
+    """Return the painter of an eye's ray-traced frames; cached for the next frames."""
     return TracedPainter(eye, _renderer_of(scene), supersample, shadows)
 
 
@@ -33,7 +33,7 @@ def _resolution(eye: Eye, largest_px: int) -> float:
     """Return the largest resolution up to `RESOLUTION` at which no side exceeds `largest_px` and 8192 pixels."""
     panel = eye.display.panel
     camera = intermediate_camera((eye,), middle_axes(eye), RESOLUTION, (panel.width_px, panel.height_px), 0.0)
-    without_margin = min(largest_px, _LARGEST_SIDE_PX) - 4  # the camera's margin of two pixels is of any resolution
+    without_margin = min(largest_px, _LARGEST_SIDE_PX) - 4  # the camera's margin is two pixels at any resolution
     return RESOLUTION * min(1.0, without_margin / max(camera.size_px))
 
 
@@ -62,7 +62,7 @@ def render(
         shadows: whether to draw shadows (ray-traced frames only).
         supersample: rays per pixel along each axis where a pixel differs from its neighbours by more than 8 codes;
             elsewhere one (ray-traced frames only).
-        with_geometry: also give the world point of each pixel, `Frame.position`, and of rasterised frames the warp map.
+        with_geometry: True to add the world point of each pixel, `Frame.position`, and the warp map of raster frames.
 
     Returns:
         A frame: `colour` (height, width, 3) uint8 sRGB, the scene's background where a pixel has no ray.
@@ -84,7 +84,7 @@ def render(
     try:
         resolution = _resolution(eye, raster.context.largest_side_px)
         frame = WarpedPainter(eye, raster, resolution).paint(at, pose, with_geometry)
-        _ = frame.colour  # is read while the context exists
+        _ = frame.colour  # must be read while the context exists
         return frame
     finally:
         raster.context.release()

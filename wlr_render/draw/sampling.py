@@ -1,7 +1,7 @@
 """Image interpolation at sub-pixel positions with OpenCV, whose pixel centres are integers.
 
-Everywhere else (0, 0) is the outer corner of the top-left pixel and centres lie at +0.5. `cv2.remap` has full
-precision only for float32 and uint8 images of 1, 3 or 4 channels (OpenCV 5); others are refused here.
+Everywhere else in this package (0, 0) is the outer corner of the top-left pixel and centres lie at +0.5. `cv2.remap`
+has full precision only for float32 and uint8 images of 1, 3 or 4 channels (OpenCV 5); others are refused here.
 """
 
 from typing import TypeVar
@@ -18,11 +18,11 @@ _Pixel = TypeVar("_Pixel", bound=np.generic)
 
 _LONGEST = LIMITS.picture_side  # cv2.remap indexes with 16 bits
 _ROW = 1024
-"""Scattered positions are handed to cv2.remap as an image of this width."""
+"""Width of the image in which scattered positions are passed to cv2.remap."""
 
 
 def bilinear_at(image: NDArray[_Pixel], u: Float32Array, v: Float32Array) -> NDArray[_Pixel]:
-    """Bilinear samples; beyond the centres of its outermost pixels the image goes on with their values.
+    """Sample bilinearly; beyond the centres of its outermost pixels the image continues with their values.
 
     Args:
         image: (height, width) or (height, width, c), float32 or uint8, c of 1, 3 or 4, sides of at most 32766 px.
@@ -55,15 +55,15 @@ def _cv2_remap(image: NDArray[_Pixel], x: Float32Array, y: Float32Array) -> NDAr
 def remap(
     image: NDArray[_Pixel], source_pixel: NDArray[np.floating], background: ArrayLike = 0
 ) -> tuple[NDArray[_Pixel], NDArray[np.bool_]]:
-    """Bilinear samples of an image at any positions.
+    """Sample an image bilinearly at any positions.
 
     Args:
         image: (height, width) or (height, width, c), float32 or uint8, c of 1, 3 or 4, sides of at most 32766 px.
-        source_pixel: (..., 2), centres at +0.5; NaN for nothing. Rounded to float32, about 1e-4 px in 2000.
-        background: where there is nothing: a number or one per channel.
+        source_pixel: (..., 2), centres at +0.5; NaN for the background. Rounded to float32, about 1e-4 px in 2000.
+        background: value outside the image: a number, or one per channel.
 
     Returns:
-        Samples (...) or (..., c) of the image's type, and where the position lies inside the image, (...).
+        Samples (...) or (..., c) of the image's type, and whether the position lies inside the image, (...).
 
     Raises:
         BadInputError: an image that OpenCV would sample wrongly or not at all.
