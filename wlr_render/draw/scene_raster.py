@@ -28,12 +28,12 @@ class SceneRaster:
     """
 
     def __init__(self, context: gl.GlContext, scene: Scene, materials: str = "own") -> None:
-        """Prepare; `materials` as in `open_scene_raster`."""
+        """Prepare; for `materials` see `open_scene_raster`."""
         self.context, self.scene, self._materials = context, scene, materials
 
     @property
     def backend(self) -> str:
-        """Name, "egl" or "osmesa"; of an adopted context its platform."""
+        """Name of the backend, "egl" or "osmesa"; the platform of an adopted context."""
         return self.context.backend
 
     def draw(self, view: View) -> GeometryImage:
@@ -57,17 +57,17 @@ def open_scene_raster(scene: Scene, backend: str = "auto", materials: str = "own
     """Open an OpenGL context for one scene.
 
     Args:
-        scene: what to draw.
+        scene: scene to draw.
         backend: "egl", "osmesa", "auto" for the first that works, or "cpu" for none.
         materials: "own" for the shading model of docs/conventions.md, "gltf" for pyrender's physically based one,
             which needs OpenGL.
 
     Returns:
-        None for "cpu", and for "auto" where no OpenGL opens: draw ray-traced frames (`painters.TracedPainter`).
+        None for "cpu", and for "auto" if no OpenGL opens: draw ray-traced frames (`painters.TracedPainter`).
 
     Raises:
         BadInputError: an unknown choice, or "gltf" materials without OpenGL.
-        MissingGlError: OpenGL was asked for by name, or for "gltf" materials, and does not open.
+        MissingGlError: OpenGL was requested by name, or by "gltf" materials, and does not open.
     """
     if backend not in BACKENDS or materials not in MATERIALS:
         raise BadInputError(f"'{backend}' with '{materials}' materials: choose from {BACKENDS} and {MATERIALS}.")

@@ -1,9 +1,9 @@
 """The shading model in numpy, as in shaders/shading.glsl. Normals and albedo come from tables per triangle.
 
-Attributes lie component by component, (k, n), because numpy works fastest along long contiguous rows.
+Attributes are stored by component, (k, n), because numpy works fastest along long contiguous rows.
 
 A surface's colour is albedo * (ambient + sum over lights of light * max(0, n.l)) in linear light (docs/conventions.md,
-"Colour"). Lambert's law on both sides: the interpolated normal is turned to face the ray's origin.
+"Colour"). Lambert's law holds on both sides: the interpolated normal is turned to face the ray's origin.
 """
 
 from dataclasses import dataclass
@@ -61,7 +61,7 @@ class Surfaces:
 
     @classmethod
     def of(cls, scene: Scene) -> "Surfaces":
-        """Tables of a scene."""
+        """Build the tables of a scene."""
         placed = [(scene.mesh_of(instance), instance) for instance in scene.instances]
         counts = [len(mesh.triangles) for mesh, _ in placed]
         textured = [number for number, mesh in enumerate(scene.meshes) if mesh.texture is not None]
@@ -79,7 +79,7 @@ class Surfaces:
         )
 
     def normals(self, hits: SurfaceHits) -> Float32Array:
-        """Interpolated vertex normals of any length, (3, n)."""
+        """Return interpolated vertex normals of any length, (3, n)."""
         return _interpolated(self.normal, hits)
 
     def albedo(self, hits: SurfaceHits) -> Float32Array:
@@ -99,12 +99,12 @@ class Surfaces:
                 albedo *= _texels(self.textures[number], uv).T
             else:
                 texels = _texels(self.textures[number], uv.take(here, axis=1))
-                for row, factor in zip(albedo, texels.T, strict=True):  # NumPy picks from rows faster than columns
+                for row, factor in zip(albedo, texels.T, strict=True):  # indexing rows is faster than columns in NumPy
                     row[here] = row.take(here) * factor
 
 
 def _texels(wrapped: Float32Array, uv: Float32Array) -> Float32Array:
-    """Bilinear samples (n, 3) of a repeated texture at (2, n), (0, 0) the texture's outer top-left corner."""
+    """Return bilinear samples (n, 3) of a repeated texture at (2, n); (0, 0) is the texture's outer top-left corner."""
     height, width = wrapped.shape[0] - 2, wrapped.shape[1] - 2
     pixel = uv - np.floor(uv)
     pixel *= np.array([[width], [height]], np.float32)
@@ -121,7 +121,7 @@ def _interpolated(table: Float32Array, hits: SurfaceHits) -> Float32Array:
 
 
 def _table(corners: list[Float32Array], components: int) -> Float32Array:
-    """Values at the corners of each instance's triangles, (triangles, 3, k) each -> (3 k, triangles)."""
+    """Convert values at the corners of each instance's triangles, (triangles, 3, k) each, to (3 k, triangles)."""
     joined = np.concatenate([np.zeros((0, 3, components), np.float32), *corners])
     joined[:, 1:] -= joined[:, :1]
     return np.ascontiguousarray(joined.reshape(-1, 3 * components).T, dtype=np.float32)
@@ -147,7 +147,7 @@ def _wrapped_texture(mesh: Mesh) -> Float32Array:
 
 
 _SHADOW_BIAS = 2e-4
-"""How far a shadow ray starts above its surface, per metre from the viewer (at least one): beyond float32 rounding."""
+"""Height of a shadow ray's start over its surface, per metre from the viewer (at least one): above float32 rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ class MetSurfaces:
     """The surfaces that rays hit, component by component, without the misses.
 
     Attributes:
-        index: (m,) which of the rays.
+        index: (m,) indices of the rays.
         on_surface: triangle, instance and barycentric weights, (m,) each.
         distance: (m,) float32 along the ray, in lengths of its direction.
         position: (3, m) float32 world frame, metres.
@@ -172,7 +172,7 @@ class MetSurfaces:
 def meet_surfaces(
     surfaces: Surfaces, hits: Intersections, origin: Float32Array, direction: Float32Array
 ) -> MetSurfaces:
-    """Return what rays hit, without light; arguments as of `shade`."""
+    """Return the surfaces that rays hit, without light; for the arguments see `shade`."""
     index = np.flatnonzero(hits.instance >= 0)
     instance = hits.instance.take(index).astype(np.intp)
     triangle = surfaces.first_triangle.take(instance) + hits.triangle.take(index)
@@ -190,7 +190,7 @@ class Shaded:
     """The rays that hit something, component by component.
 
     Attributes:
-        index: (m,) which of the rays.
+        index: (m,) indices of the rays.
         colour: (3, m) float32 linear RGB, not clipped.
         position: (3, m) float32 world frame, metres.
         normal: (3, m) float32 world frame, unit, facing the ray's origin.
@@ -210,16 +210,16 @@ def shade(
     direction: Float32Array,
     shadow_tracer: SceneTracer | None = None,
 ) -> Shaded:
-    """Colour of what rays hit.
+    """Return the colours of the surfaces that rays hit.
 
     Args:
-        scene: whose lights shine.
-        surfaces: of the same scene.
-        hits: of shape (n,), from `SceneTracer.intersect` of these rays.
+        scene: scene with the lights.
+        surfaces: surfaces of the same scene.
+        hits: (n,) result of `SceneTracer.intersect` for these rays.
         origin, direction: (n, 3) float32 world frame.
-        shadow_tracer: of the same scene, if surfaces shall cast shadows.
+        shadow_tracer: tracer of the same scene, if surfaces cast shadows.
     """
-    if (hits.instance < 0).all():  # spares threads that share Python's lock a hundred calls for nothing
+    if (hits.instance < 0).all():  # saves a hundred useless calls under the GIL
         nothing = np.empty((3, 0), np.float32)
         return Shaded(np.empty(0, np.intp), nothing, nothing, nothing)
     met = meet_surfaces(surfaces, hits, origin, direction)
@@ -237,7 +237,7 @@ def shade(
 
 
 def _components(vector: Float32Array, index: IndexArray) -> Float32Array:
-    """Chosen rows of (n, 3), as (3, m)."""
+    """Return the chosen rows of (n, 3) as (3, m)."""
     chosen = vector if len(index) == len(vector) else vector.take(index, axis=0)
     return np.ascontiguousarray(chosen.T)
 
@@ -258,7 +258,7 @@ def _facing(normal: Float32Array, direction: Float32Array) -> Float32Array:
 
 
 def _raised(position: Float32Array, normal: Float32Array, distance: Float32Array) -> Float32Array:
-    """Return starts of shadow rays."""
+    """Return the starts of shadow rays."""
     height = np.maximum(distance, np.float32(1)) * np.float32(_SHADOW_BIAS)
     return np.asarray(position + normal * height)
 
@@ -266,7 +266,7 @@ def _raised(position: Float32Array, normal: Float32Array, distance: Float32Array
 def _towards_light(
     light: LightSource, position: Float32Array, normal: Float32Array
 ) -> tuple[Float32Array, Float32Array]:
-    """Vectors to the light, (3, m) or (3, 1), and the light's falloff times n.l, (m,)."""
+    """Return vectors to the light, (3, m) or (3, 1), and the light's falloff times n.l, (m,)."""
     vector = light.vector.astype(np.float32)[:, None]
     if light.kind == "directional":
         return -vector, np.maximum(_dot(normal, -vector), np.float32(0))
@@ -281,7 +281,7 @@ def _towards_light(
 def _hide(
     strength: Float32Array, light: LightSource, to_light: Float32Array, raised: Float32Array, shadow_tracer: SceneTracer
 ) -> None:
-    """Put out the light, in place, where something stands before it."""
+    """Set the light's strength to 0, in place, where another surface hides the light."""
     lit = np.flatnonzero(strength)
     towards = np.broadcast_to(to_light, raised.shape).T[lit]
     reach = 1.0 if light.kind == "point" else np.inf

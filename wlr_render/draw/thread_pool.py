@@ -18,7 +18,7 @@ _thread = threading.local()
 def for_blocks(work: Callable[[slice], None], total: int, block: int) -> None:
     """Call `work` on consecutive slices of `block` items that cover `total`, on all processors.
 
-    Inside a worker the slices are worked off one after the other, so that parallel code may call parallel code.
+    Inside a worker the slices run one after the other, so that parallel code may call parallel code.
     The first exception of a slice is raised here.
     """
     slices = [slice(start, min(start + block, total)) for start in range(0, total, block)]
@@ -31,14 +31,14 @@ def for_blocks(work: Callable[[slice], None], total: int, block: int) -> None:
 
 
 def in_background(tasks: Iterable[Callable[[], Result]], most: int) -> Generator[Result]:
-    """Yield the results of tasks in their order, while the threads work on the tasks that follow.
+    """Yield the results of tasks in order, while the threads work on the following tasks.
 
-    The first exception of a task, or of `tasks` after the results of all tasks before, is raised here. Then, and if
-    the caller stops or is interrupted, tasks that have begun are finished, and the others are dropped.
+    The first exception of a task, or of `tasks` after the results of all tasks before, is raised here. Then, and if the
+    caller stops or is interrupted, running tasks are finished and the others are dropped.
 
     Args:
-        tasks: made one by one in the caller's thread.
-        most: largest number of unfinished tasks; 1: each is finished before the next one is made.
+        tasks: tasks, generated one by one in the caller's thread.
+        most: largest number of unfinished tasks; with 1, each is finished before the next one is generated.
     """
     waiting = deque[Future[Result]]()
     try:
@@ -46,7 +46,7 @@ def in_background(tasks: Iterable[Callable[[], Result]], most: int) -> Generator
             waiting.append(future)
             while waiting and (len(waiting) >= most or waiting[0].done()):
                 yield waiting[0].result()
-                waiting.popleft()  # not before: an interrupt of `result` leaves the task to be waited for
+                waiting.popleft()  # only now: an interrupt of `result` leaves the task in the queue to wait for
         while waiting:
             yield waiting[0].result()
             waiting.popleft()
@@ -57,7 +57,7 @@ def in_background(tasks: Iterable[Callable[[], Result]], most: int) -> Generator
 
 
 def _submitted(tasks: Iterable[Callable[[], Result]]) -> Generator[Future[Result]]:
-    """Futures of tasks; an exception of `tasks` is the last one's, so that the caller gets the results before it."""
+    """Yield the futures of tasks; an exception of `tasks` is the last one's, so that no earlier result is lost."""
     try:
         for task in tasks:
             yield _pool().submit(task)
@@ -76,6 +76,6 @@ def _mark_worker() -> None:
     _thread.is_worker = True
 
 
-# A forked child has the pool but none of its threads, and would wait for them for ever.
+# A forked child has the pool but not its threads, and would wait for them forever.
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.cache_clear)

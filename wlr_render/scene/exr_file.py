@@ -13,9 +13,9 @@ from wlr_render.io.atomic_files import disk_errors, written_whole
 from wlr_render.io.input_files import as_bad_input, reason_of, require_pixels
 
 _TYPES = (np.float16, np.float32, np.uint32)
-"""Types of values that the format has."""
+"""Types of values in the format."""
 _OWN = "wlr:"
-"""Start of the names of our texts in a header: other programs' attributes have none of these names."""
+"""Prefix of the names of our texts in a header: no other program's attributes have it."""
 
 
 def require_exr(use: str) -> None:
@@ -32,10 +32,10 @@ def write_exr(path: str | Path, channels: Mapping[str, NDArray[Any]], texts: Map
     """Write channels without loss (ZIP), the first row on top.
 
     Args:
-        path: where.
+        path: path of the file.
         channels: (height, width) values by name, float16, float32 or uint32; a name "LAYER.CHANNEL", e.g. "normal.X",
             puts the channel into a layer.
-        texts: of the header, by name; "wlr:" is put before each name.
+        texts: texts of the header, by name; "wlr:" is put before each name.
 
     Raises:
         BadInputError: no channels, channels of different sizes or of another type, or a file that cannot be written.
@@ -59,13 +59,13 @@ def write_exr(path: str | Path, channels: Mapping[str, NDArray[Any]], texts: Map
     with written_whole(path) as temporary, disk_errors(path):
         try:
             file.write(str(temporary))
-        except RuntimeError as error:  # OpenEXR raises it for errors of the file system, too
+        except RuntimeError as error:  # OpenEXR raises it for errors of the file system as well
             raise OSError(reason_of(error)) from error
     return Path(path)
 
 
 def read_exr(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """Channels (height, width) by name, and the texts of the header that `write_exr` wrote.
+    """Return the channels (height, width) by name, and the texts of the header that `write_exr` wrote.
 
     Raises:
         BadInputError: the file is missing, is not an OpenEXR file, or is too large.

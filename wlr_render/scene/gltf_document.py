@@ -1,6 +1,6 @@
 """The JSON, the buffers and the accessors of a glTF file, checked when they are read.
 
-Every accessor lies in its buffer view, and every view in its buffer, before anything is drawn from them.
+Every accessor is known to lie in its buffer view, and every view in its buffer, before anything is drawn.
 """
 
 import base64
@@ -36,8 +36,8 @@ class GltfDocument:
     """The lists of a glTF file, and its data.
 
     Raises:
-        BadInputError: from every method: a reference to nothing, a number out of range, or a part that would not be
-            drawn as it is meant.
+        BadInputError: from every method: a dangling reference, a number out of range, or a part that would
+            be drawn wrongly.
     """
 
     def __init__(self, path: Path, content: bytes, fetch: Fetch) -> None:
@@ -64,7 +64,7 @@ class GltfDocument:
         self._arrays = [self._array(number) for number in range(len(self.entries("accessors")))]
 
     def fail(self, sentence: str, remedy: str = "export it again") -> BadInputError:
-        """Exception for an error in this file; the caller raises it."""
+        """Return an exception for an error in this file; the caller raises it."""
         return BadInputError(f"{self.path}: {sentence}; {remedy}.")
 
     def entry(self, kind: str, index: Any) -> dict[str, Any]:
@@ -76,23 +76,23 @@ class GltfDocument:
         return entry
 
     def entries(self, kind: str) -> list[Any]:
-        """Return a list of the file's top level, empty where the file has none."""
+        """Return a list of the file's top level, empty if the file has none."""
         entries = self.tree.get(kind, [])
         if not isinstance(entries, list):
             raise self.fail(f"'{kind}' must be a list")
         return entries
 
     def name_of(self, kind: str, index: int) -> str:
-        """Name of a mesh, material, node or animation for messages, in quotes; its number where it has none."""
+        """Name a mesh, material, node or animation for messages: its name in quotes, or its number if it has none."""
         return shown(self.entry(kind, index).get("name", f"{kind[:-1].replace('meshe', 'mesh')} {index}"))
 
     def values(self, accessor: int) -> NDArray[Any]:
-        """Return stored values (count, components) of an accessor; zeros where it has none, sparse ones in place."""
+        """Return the stored values (count, components) of an accessor, sparse values applied; zeros if it has none."""
         self.entry("accessors", accessor)
         return self._arrays[accessor]
 
     def floats(self, accessor: int, is_colour: bool = False) -> FloatArray:
-        """Values of an accessor; normalised integers, and all of colours, as parts of their largest."""
+        """Return the values of an accessor; normalised integers, and all of colours, as fractions of the largest."""
         values = self.values(accessor)
         if values.dtype.kind == "f" or not (is_colour or self.entry("accessors", accessor).get("normalized")):
             return values.astype(np.float64)
@@ -118,7 +118,7 @@ class GltfDocument:
         return value
 
     def _buffer(self, number: int) -> memoryview:
-        """Return the bytes of a buffer: of its uri, or of the GLB's second chunk."""
+        """Return the bytes of a buffer, from its uri or the GLB's second chunk."""
         buffer, where = self.entry("buffers", number), f"buffers {number}"
         size = self._whole(buffer, "byteLength", where)
         content = self._bytes_of(buffer["uri"]) if "uri" in buffer else self._binary
@@ -152,7 +152,7 @@ class GltfDocument:
         return self._sparse(accessor["sparse"], number, values) if "sparse" in accessor else values
 
     def _sparse(self, sparse: dict[str, Any], number: int, values: NDArray[Any]) -> NDArray[Any]:
-        """Return a copy of an accessor's values with its sparse ones in place."""
+        """Return a copy of an accessor's values with its sparse values applied."""
         count, where = len(values), f"accessors {number}, sparse"
         if not all(isinstance(sparse.get(key), dict) for key in ("indices", "values")):
             raise self.fail(f"{where}: lacks 'indices' or 'values'")

@@ -1,7 +1,7 @@
 """Meshes, placements and lights of a glTF file.
 
-A light shines along its node's -z axis. glTF's matt surface reflects 1/pi of the light, ours all of it, so an intensity
-is divided by pi. Material factors and vertex colours are linear.
+A light shines along its node's -z axis. A matt surface reflects 1/pi of the light in glTF, and all of it here, so
+intensities are divided by pi. Material factors and vertex colours are linear.
 """
 
 import math
@@ -27,12 +27,12 @@ SPOT = "spot"
 """The kind of light that is not drawn."""
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _VECTORS = {"POSITION": (3,), "NORMAL": (3,), "COLOR_0": (3, 4)}
-"""Attributes that are read, and their numbers of components."""
+"""Attributes that are read, with their numbers of components."""
 _DIELECTRIC = 0.04  # reflectance of surfaces that are not metals
 _LUMA = (0.299, 0.587, 0.114)
 _DEEPEST = 200
 _MOST_NODES = 50_000
-_FARTHEST = 1e6  # metres, and scale of a placement
+_FARTHEST = 1e6  # largest coordinate, metres, and largest scale of a placement
 _BRIGHTEST = 1e6
 
 
@@ -69,7 +69,7 @@ def base_texture(material: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def has_triangles(primitive: dict[str, Any]) -> bool:
-    """Return whether a primitive has triangles to draw; glTF demands that one without positions is not drawn."""
+    """Return whether a primitive has triangles to draw; glTF requires that one without positions is not drawn."""
     return primitive.get("mode") not in FLAT_MODES and "POSITION" in primitive["attributes"]
 
 
@@ -150,7 +150,7 @@ def read_lights(document: GltfDocument, nodes: Sequence[Node]) -> Iterator[Light
 
 
 class _Names:
-    """Makes names unique: a number is appended to a name that is taken, or counted up."""
+    """Unique names: a name that is taken gets a number, which counts up."""
 
     def __init__(self) -> None:
         self._taken: set[str] = set()
@@ -223,7 +223,7 @@ def _triangles(document: GltfDocument, where: str, primitive: dict[str, Any], mo
 
 
 def _base_colour(document: GltfDocument, where: str, material: dict[str, Any]) -> FloatArray:
-    """Return the linear colour (3,) of a material; specular glossiness holds where it has no other base texture."""
+    """Return the linear colour (3,) of a material; specular-glossiness is used if it has no other base texture."""
     rough = material.get("pbrMetallicRoughness", {})
     glossy = material.get("extensions", {}).get(GLOSSY)
     key, stated = "baseColorFactor", rough
@@ -257,7 +257,7 @@ def _equivalent_base_colour(diffuse: FloatArray, specular: FloatArray) -> FloatA
 def _texture_coordinates(
     document: GltfDocument, where: str, attributes: dict[str, int], texture: dict[str, Any]
 ) -> FloatArray:
-    """Return coordinates (vertices, 2) of a texture, scaled, rotated and moved as `KHR_texture_transform` states."""
+    """Return coordinates (vertices, 2) of a texture, scaled, rotated and moved by its `KHR_texture_transform`."""
     moved = texture.get("extensions", {}).get(MOVED, {})
     key = f"TEXCOORD_{moved.get('texCoord', texture.get('texCoord', 0))}"
     if key not in attributes:
@@ -286,7 +286,7 @@ def _picture(document: GltfDocument, where: str, texture: dict[str, Any]) -> Any
 
 
 def _parent_from_node(document: GltfDocument, number: int, node: dict[str, Any]) -> NDArray[np.float64]:
-    """Return the (4, 4) of a node: its matrix, or its translation, rotation and scale."""
+    """Return the transform (4, 4) of a node: its matrix, or its translation, rotation and scale."""
     if "mesh" in node:
         document.entry("meshes", node["mesh"])
     stated = {}

@@ -1,4 +1,4 @@
-"""What a glTF file states and no method of ours draws."""
+"""Content of a glTF file that is not drawn."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -8,22 +8,22 @@ from wlr_render.scene.gltf_file import FLAT_MODES, SPOT, Node, Part, base_textur
 
 _DRAWN = {
     *("name", "extras", "doubleSided", "alphaCutoff"),  # no effect on the picture
-    *("pbrMetallicRoughness", "extensions"),  # their parts are looked at one by one
+    *("pbrMetallicRoughness", "extensions"),  # their parts are checked one by one
     *("baseColorFactor", "baseColorTexture"),
 }
 _MATT_AND_OPAQUE = {"metallicFactor": 0, "roughnessFactor": 1, "emissiveFactor": [0, 0, 0], "alphaMode": "OPAQUE"}
-"""Values with which nothing is lost."""
+"""Values of keys at which ignoring them loses nothing."""
 _WRAPS = {33071: "CLAMP_TO_EDGE", 33648: "MIRRORED_REPEAT"}
 _NEAREST = 9728
-_UV_MARGIN = 1e-3  # beyond 0..1, in which no wrapping is seen
+_UV_MARGIN = 1e-3  # distance outside 0..1 at which wrapping is not visible yet
 
 
 def lost_material_keys(document: GltfDocument, parts: Sequence[Part]) -> Iterator[tuple[str, list[str]]]:
-    """Name, and keys that are not drawn, of each material that a mesh has."""
+    """Yield the name of each material that a mesh uses, and its keys that are not drawn."""
     for number in sorted({part.material for part in parts if part.material is not None}):
         material = document.entry("materials", number)
         surface = material.get("pbrMetallicRoughness")
-        # A material that states its surface, and not how metallic it is, is a metal.
+        # A material that states pbrMetallicRoughness without metallicFactor is a metal.
         stated = material | ({} if surface is None else {"metallicFactor": 1.0} | surface)
         keys = [key for key, value in stated.items() if key not in _DRAWN and value != _MATT_AND_OPAQUE.get(key)]
         texture = base_texture(material) or {}
@@ -35,7 +35,7 @@ def lost_material_keys(document: GltfDocument, parts: Sequence[Part]) -> Iterato
 
 
 def _sampler_keys(document: GltfDocument, texture: dict[str, Any], parts: Sequence[Part]) -> Iterator[str]:
-    """Return settings of a texture's sampler that differ visibly from repeated and bilinear."""
+    """Yield the settings of a texture's sampler that differ visibly from repeated and bilinear."""
     number = document.entry("textures", texture["index"]).get("sampler")
     sampler = {} if number is None else document.entry("samplers", number)
     for axis, key in enumerate(("wrapS", "wrapT")):
@@ -48,7 +48,7 @@ def _sampler_keys(document: GltfDocument, texture: dict[str, Any], parts: Sequen
 
 
 def lost_parts(document: GltfDocument, nodes: Sequence[Node]) -> Iterator[str]:
-    """Points, lines, morph targets, skins, spot lights, extensions of nodes, and animations."""
+    """Yield the points, lines, morph targets, skins, spot lights, extensions of nodes, and animations."""
     placed = [(node, document.entry("nodes", node.number)) for node in nodes]
     weights: dict[int, list[list[float]]] = {}
     for _, stated in placed:

@@ -1,7 +1,7 @@
 """Meshes, their placements and lights from GLB, glTF, OBJ, PLY and STL files.
 
-Colours become linear: material factors and glTF's vertex colours are so already, vertex colours of OBJ and PLY are
-sRGB. Surfaces are matt and opaque; `MeshFile.not_drawn` lists what else the file states.
+Colours become linear: material factors and glTF's vertex colours already are, vertex colours of OBJ and PLY are
+sRGB. Surfaces are matt and opaque; `MeshFile.not_drawn` lists all other content of the file.
 """
 
 import functools
@@ -65,13 +65,13 @@ def load_meshes(path: str | Path) -> MeshFile:
         raise BadInputError(
             f"{path}: cannot read {shown(path.suffix)} files, only {', '.join(SUFFIXES)}; convert it to one of these."
         )
-    # What overflows is refused by the checks.
+    # The checks refuse values that overflow.
     with as_bad_input(path, "a mesh", "export it again"), np.errstate(all="ignore"):
         return (_gltf_file if path.suffix.lower() in _GLTF else _polygon_file)(path)
 
 
 def _polygon_file(path: Path) -> MeshFile:
-    """Return the meshes of an OBJ, PLY or STL file, each placed once where it is."""
+    """Return the meshes of an OBJ, PLY or STL file, each placed once, untransformed."""
     content, neighbours = read_bytes(path, LIMITS.mesh_bytes), _Neighbours(path)
     lost: Iterable[tuple[str, list[str]]] = ()
     parts: Sequence[str] = ()
@@ -113,7 +113,7 @@ def _gltf_file(path: Path) -> MeshFile:
 
 
 class _Neighbours:
-    """The files that a mesh file refers to; the bytes of all together are limited."""
+    """The files that a mesh file refers to; their total size is limited."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -150,7 +150,7 @@ def _named(path: Path, materials: Iterable[tuple[str, list[str]]], parts: Sequen
 
 
 def _meshes(path: Path, raw: Sequence[RawMesh], not_drawn: Sequence[str]) -> tuple[Mesh, ...]:
-    """Return checked meshes, without those whose triangles have no area; refused where none is left."""
+    """Return checked meshes, without those whose triangles have no area; refuse the file if none is left."""
     meshes = tuple(mesh for each in raw if (mesh := _mesh(path, each)) is not None)
     if raw and not meshes:
         which = f"mesh {shown(raw[0].name)} has" if len(raw) == 1 else "its meshes have"
@@ -163,7 +163,7 @@ def _meshes(path: Path, raw: Sequence[RawMesh], not_drawn: Sequence[str]) -> tup
 
 
 def _mesh(path: Path, raw: RawMesh) -> Mesh | None:
-    """Return a checked mesh; None where no triangle has an area."""
+    """Return a checked mesh; None if no triangle has an area."""
     name, position, triangles = raw.name, raw.position, raw.triangles
     if not (np.abs(position) < _LARGEST).all():
         raise BadInputError(
@@ -205,7 +205,7 @@ def _mesh(path: Path, raw: RawMesh) -> Mesh | None:
 
 
 def _flat(raw: RawMesh, triangles: NDArray[np.int64]) -> RawMesh:
-    """Return a mesh without normals as these triangles of it, each with three vertices and the normal of its plane."""
+    """Return these triangles of a mesh without normals, each with three vertices and the normal of its plane."""
     corners = raw.position[triangles]
     normal = np.repeat(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), 3, axis=0)
     kept = triangles.ravel()
@@ -220,7 +220,7 @@ def _flat(raw: RawMesh, triangles: NDArray[np.int64]) -> RawMesh:
 
 
 def _unit_normals(normal: FloatArray) -> Float32Array:
-    """Return unit normals (vertices, 3) of normals of any length; up where one has no length."""
+    """Scale normals (vertices, 3) to unit length; a normal without length becomes up."""
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     unit = np.where(~(length <= 1e-12), normal / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
     return unit.astype(np.float32)

@@ -1,4 +1,4 @@
-"""Material libraries (MTL) of OBJ files: the diffuse colour and its texture; the rest is named."""
+"""Material libraries (MTL) of OBJ files: the diffuse colour and its texture; all other content is listed."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -14,14 +14,14 @@ from wlr_render.io.input_files import require_picture, shown
 from wlr_render.numerics.arrays import FloatArray
 
 _DEFAULTS = {"d": r"1(\.0*)?", "tr": "[0. ]+", "ke": "[0. ]+", "pm": "[0. ]+", "illum": r"[1-9]\d*"}
-"""Patterns of values with which nothing is lost."""
+"""Patterns of values at which ignoring a key loses nothing."""
 _LOST_MAPS = {"map_d", "map_tr", "map_ke", "map_bump", "bump", "norm", "disp", "decal", "refl"}
 _NUMBERS = {"-o": (0.0, 0.0, 0.0), "-s": (1.0, 1.0, 1.0), "-t": (0.0, 0.0, 0.0), "-mm": (0.0, 1.0)}
 """Texture options with their neutral numbers; an option may state fewer numbers."""
 _CHOICES = {"-clamp": "off", "-cc": "off"} | dict.fromkeys(
     ("-blendu", "-blendv", "-texres", "-boost", "-bm", "-type", "-imfchan")
 )
-"""Options with one word, and the word that changes nothing; None where no word changes a diffuse texture."""
+"""Options with one word, and the word without effect; None if no word affects a diffuse texture."""
 
 
 class Neighbours(Protocol):
@@ -35,7 +35,7 @@ class Neighbours(Protocol):
 
 
 def obj_text(content: bytes) -> str:
-    """Return the text of an OBJ or MTL file: UTF-8, or Latin-1 where it is not."""
+    """Return the text of an OBJ or MTL file: UTF-8, or else Latin-1."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -43,7 +43,7 @@ def obj_text(content: bytes) -> str:
 
 
 def statements(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Words of each statement, and its line number; a backslash continues a line, also with blanks after it."""
+    """Yield the line number and words of each statement; a backslash continues a line, also with blanks after it."""
     whole, start = "", 0
     for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
         start = start if whole else number
@@ -76,7 +76,7 @@ class ObjMaterial:
 
     Attributes:
         base_colour: (3,) linear RGB factor.
-        texture: name of the texture's file, empty without one.
+        texture: name of the texture's file, empty without a texture.
         picture: content of that file, once the material is used.
         lost: keys and options that are not drawn.
     """
@@ -91,7 +91,7 @@ class Materials:
     """The materials of an OBJ file's libraries, by name.
 
     Raises:
-        BadInputError: from `open`: a library or texture is missing, or a colour is not one.
+        BadInputError: from `open`: a library or texture is missing, or a colour is invalid.
     """
 
     def __init__(self, path: Path, neighbours: Neighbours) -> None:
@@ -110,7 +110,7 @@ class Materials:
         return " or ".join(map(shown, self._libraries))
 
     def get(self, name: str) -> ObjMaterial | None:
-        """Return a material, with its texture read; None where no library has it."""
+        """Return a material, with its texture read; None if no library has it."""
         found = next((each for each in (name, without_comment(name)) if each in self._materials), None)
         if found is None:
             return None
@@ -122,7 +122,7 @@ class Materials:
         return material
 
     def lost(self) -> Iterator[tuple[str, list[str]]]:
-        """Name, and keys that are not drawn, of each material that was used."""
+        """Yield the name of each material that was used, and its keys that are not drawn."""
         for name, material in self._used.items():
             yield shown(name), material.lost
 
@@ -143,7 +143,7 @@ class Materials:
                 material = read[text] = ObjMaterial()
             else:
                 self._statement(library, material, key.lower(), text)
-        self._materials = read | self._materials  # the library that is named first counts
+        self._materials = read | self._materials  # the library that is named first takes precedence
 
     def _statement(self, library: str, material: ObjMaterial, key: str, text: str) -> None:
         value = without_comment(text)
@@ -161,7 +161,7 @@ class Materials:
             material.lost.append(f"illum {value}" if key == "illum" else key)
 
     def _colour(self, library: str, text: str) -> FloatArray:
-        """Three numbers, or one for all."""
+        """Read three numbers, or one for all three."""
         try:
             colour = [float(each) for each in text.split()]
         except ValueError:
@@ -175,7 +175,7 @@ class Materials:
 
 
 def _map_options(text: str) -> tuple[str, list[str]]:
-    """Return the file's name of a texture statement, and its options that change the picture and are not drawn."""
+    """Return the file name in a texture statement, and its options that would change the picture and are not drawn."""
     words, lost = text.split(" "), []
     while words and (option := words[0].lower()) in _NUMBERS | _CHOICES:
         plain = _NUMBERS.get(option, ())
