@@ -35,7 +35,7 @@ Corner = tuple[int, int, int]
 
 @dataclass
 class _Part:
-    """The faces of one material: polygons of indices into `corners`, which `known` has by their words."""
+    """The faces of one material: polygons of indices into `corners`; `known` has the indices by their words."""
 
     material: str
     object_name: str = ""
@@ -51,7 +51,7 @@ class ObjFile:
         not_drawn: statements of the file that have no effect on pictures, one text each.
 
     Raises:
-        BadInputError: a statement has the wrong numbers, or an index refers to nothing; a material is missing.
+        BadInputError: a statement has the wrong numbers, an index refers to nothing, or a material is missing.
     """
 
     def __init__(self, path: Path, content: bytes, materials: Materials) -> None:
@@ -82,7 +82,7 @@ class ObjFile:
         self.not_drawn = [*strange][:_MOST_NAMED]
 
     def meshes(self) -> Iterator[RawMesh]:
-        """One mesh for each material that faces have."""
+        """Yield a mesh for each material that faces use."""
         data = {kind: self._array(kind, columns) for kind, columns in (("v", 3), ("vt", 2), ("vn", 3))}
         colours = self._colours()
         used = [part for part in self._parts.values() if part.polygons]
@@ -104,7 +104,7 @@ class ObjFile:
         data: dict[str, FloatArray],
         colours: FloatArray | None,
     ) -> Iterator[RawMesh]:
-        """Return the mesh of a part, or two: faces that lack the coordinates which others have are without texture."""
+        """Yield the mesh of a part, or two: faces without the texture coordinates of others are an untextured mesh."""
         place, coordinate, turned = np.array([*part.corners], dtype=np.int64).T
         position = data["v"][place]
         triangles = _triangles(self._path, position, part.polygons)
@@ -141,7 +141,7 @@ class ObjFile:
         return self._parts.setdefault(material, _Part(material))
 
     def _numbers(self, line: int, words: Sequence[str]) -> list[float]:
-        """Numbers of a statement of data, without a comment at its end."""
+        """Return the numbers of a data statement, without a comment at its end."""
         least, most = _DATA[words[0]]
         try:
             if least <= len(words) - 1 <= most:
@@ -177,7 +177,7 @@ class ObjFile:
         part.polygons.append(polygon)
 
     def _corner(self, line: int, word: str) -> Corner:
-        """Return a corner's indices, counted from 0; negative ones in the file count back from the latest."""
+        """Return a corner's indices, counted from 0; negative indices in the file count back from the latest."""
         parts = word.split("/")
         found = [-1, -1, -1]
         for at, text in enumerate(parts):
@@ -201,7 +201,7 @@ class ObjFile:
         return found[0], found[1], found[2]
 
     def _array(self, kind: str, columns: int) -> FloatArray:
-        """Return the first columns of one kind of data, 0 where a line has fewer; every corner's index is checked."""
+        """Return the first columns of one kind of data, 0 where a line has fewer; check every corner's index."""
         rows, at = self._data[kind], _KINDS.index(kind)
         used = [np.array([*part.corners])[:, at].max() for part in self._parts.values() if part.corners]
         if (largest := int(max(used, default=-1))) >= len(rows):
@@ -217,7 +217,7 @@ class ObjFile:
         )
 
     def _colours(self) -> FloatArray | None:
-        """Linear colours (vertices, 3) of 'v' lines of six or more numbers; white where others have none."""
+        """Return linear colours (vertices, 3) from 'v' lines of six or more numbers, white for other lines."""
         if not any(len(row) >= 6 for row in self._data["v"]):
             return None
         codes = np.array([row[3:6] if len(row) >= 6 else [1.0, 1.0, 1.0] for row in self._data["v"]])

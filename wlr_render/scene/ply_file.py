@@ -29,7 +29,7 @@ _CODES = {"i": "i4", "I": "u4", "h": "i2", "H": "u2", "b": "i1", "B": "u1", "f":
 _BYTES = {"uchar", "uint8"}
 _HEADER_BYTES = 100_000
 _HEADER = rb"ply[ \t]*(?:(\r)(?!\n)|\r?\n)(?:.*?[\r\n])??end_header[ \t]*(?(1)(?:\r|\Z)|\r?(?:\n|\Z))"
-"""A header, whose lines end in LF, CR LF or CR; after a lone CR, an LF would be of the body."""
+"""A header with lines that end in LF, CR LF or CR; after a lone CR, an LF would belong to the body."""
 _COLOUR = ("red", "green", "blue")
 _COLOURS = (_COLOUR, ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 _COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
@@ -42,7 +42,7 @@ Column = NDArray[Any] | list[NDArray[Any]]
 
 @dataclass
 class _Element:
-    """An element of a PLY header: its name, how many rows it has, and type and name of each property.
+    """An element of a PLY header: its name, its number of rows, and type and name of each property.
 
     The type of a list is a pair of types: of its length, and of its entries.
     """
@@ -58,7 +58,7 @@ class _Element:
         return bool(alpha.size and alpha.min() not in (1.0, 255.0, 65535.0))
 
     def vectors(self, *names: Sequence[str]) -> tuple[FloatArray, list[str]] | None:
-        """Values (rows, k) of the first of these groups of properties that is there, and their types."""
+        """Return the values (rows, k) and types of the first group of properties that the element has."""
         for group in names:
             if all(name in self.columns for name in group):
                 types = [str(kind) for kind, name in self.properties if name in group]
@@ -74,7 +74,7 @@ class PlyFile:
 
     Raises:
         BadInputError: the header has no end, an unknown type or no format, or promises other rows than there are; a
-            colour is not whole; an index or a texture is missing.
+        colour is incomplete; an index or a texture is missing.
     """
 
     def __init__(self, path: Path, content: bytes, neighbours: Neighbours) -> None:
@@ -196,7 +196,7 @@ class PlyFile:
         return None if found is None else found[0][place] * [1, -1] + [0, 1]
 
     def _colours(self, element: _Element) -> FloatArray | None:
-        """Linear colours (rows, 3): white is 1, the largest of 8 or 16 bits, or 255 of more bits."""
+        """Return linear colours (rows, 3): white is 1, the largest value of 8 or 16 bits, or 255 for more bits."""
         found = element.vectors(*_COLOURS)
         if found is None:
             return None
@@ -209,7 +209,7 @@ class PlyFile:
 
 
 def _faces_of_strips(strips: _Element) -> _Element:
-    """Return the triangles of strips, which the index -1 ends."""
+    """Return the triangles of strips, each ended by the index -1."""
     lists = [np.append(each, -1) for name in _CORNERS for each in strips.columns.get(name, ())]
     whole = np.concatenate([np.empty(0), *lists]).astype(np.int64)
     parts = [part[part >= 0] for part in np.split(whole, np.flatnonzero(whole < 0))]

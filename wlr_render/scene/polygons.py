@@ -10,7 +10,7 @@ _MOST_CORNERS = 1000  # largest concave polygon; the time of ear clipping grows 
 
 
 def triangulated(position: FloatArray, polygons: Triangles) -> Triangles:
-    """Triangles (n (k - 2), 3) of n polygons (n, k) with corners in `position` (vertices, 3), polygon by polygon.
+    """Return triangles (n (k - 2), 3) of polygons (n, k) with corners in `position` (vertices, 3), polygon by polygon.
 
     Raises:
         ValueError: a concave polygon has more than 1000 corners.
@@ -22,7 +22,7 @@ def triangulated(position: FloatArray, polygons: Triangles) -> Triangles:
         return triangles.reshape(-1, 3)
     place = position[polygons]
     place = place - place[:, :1]
-    normal = np.cross(place, np.roll(place, -1, axis=1)).sum(axis=1)  # Newell
+    normal = np.cross(place, np.roll(place, -1, axis=1)).sum(axis=1)  # Newell's method
     side = place - np.roll(place, 1, axis=1)
     turn = np.einsum("pki,pi->pk", np.cross(side, np.roll(side, -1, axis=1)), normal)
     straight = 1e-9 * np.sum(normal**2, axis=1, keepdims=True)
@@ -38,7 +38,7 @@ def strip_corners(count: int) -> Triangles:
 
 
 def _clipped(place: FloatArray, normal: FloatArray) -> Triangles:
-    """Triangles (k - 2, 3) of one concave polygon (k, 3), by clipping ears."""
+    """Return the triangles (k - 2, 3) of one concave polygon (k, 3), by ear clipping."""
     if len(place) > _MOST_CORNERS:
         raise ValueError(f"a concave polygon has {len(place)} corners, more than {_MOST_CORNERS}")
     drop = int(np.argmax(np.abs(normal)))
@@ -68,7 +68,7 @@ def _is_ear(flat: FloatArray, left: list[int], at: int) -> bool:
 
 
 def smooth_normals(position: FloatArray, triangles: Triangles) -> FloatArray:
-    """Mean normals (vertices, 3) of the triangles around each vertex, weighted by their angles; of any length."""
+    """Return the mean normals (vertices, 3) of the triangles around each vertex, weighted by angle, not normalised."""
     normal = np.zeros(position.shape)
     corners = position[triangles]
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

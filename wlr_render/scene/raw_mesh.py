@@ -21,7 +21,7 @@ class RawMesh:
     """Triangles with one material, unchecked.
 
     Attributes:
-        name: for messages.
+        name: name for messages.
         position: (vertices, 3).
         triangles: (triangles, 3).
         normal: (vertices, 3) of any length; None: triangles are flat.
@@ -49,7 +49,7 @@ def opened_picture(content: bytes) -> Any:
 
 
 def texture_of(where: str, picture: Any) -> NDArray[np.uint8]:
-    """Codes (height, width, 3) of a picture as a texture: opaque, without its colour profile, gamma or orientation.
+    """Return a picture as a texture (height, width, 3) of codes: opaque, without colour profile, gamma or orientation.
 
     Raises:
         BadInputError: the picture is broken, or holds numbers without a stated white, such as floats.
@@ -70,6 +70,6 @@ def texture_of(where: str, picture: Any) -> NDArray[np.uint8]:
             raise
         raise BadInputError(f"{where} cannot be read ({error}); {_REMEDY}.") from error
     if kind == "PNG" and not texture[-1].any() and isinstance(stored, io.BytesIO):
-        # Pillow leaves rows that a PNG lacks black, and says nothing; OpenCV refuses them.
+        # Pillow silently leaves missing rows of a PNG black; OpenCV refuses the file.
         decode_image(where, stored.getvalue(), cv2.IMREAD_COLOR, _REMEDY)
     return texture

@@ -1,7 +1,7 @@
 """Scenes: meshes, their instances in the world, lights. Plain arrays; no file formats, no GPU.
 
 World frame: OpenXR (x right, y up, -z forward), metres. Colours are linear RGB, 0..1; encoding to sRGB is the last
-step of drawing. The one shading model, the same in GLSL and numpy, is stated in `shading.py`.
+step of drawing. `shading.py` defines the one shading model, the same in GLSL and numpy.
 """
 
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ class Mesh:
     """Triangles with one material.
 
     Attributes:
-        name: for messages.
+        name: name for messages.
         position: (vertices, 3) float32, mesh frame, metres.
         normal: (vertices, 3) float32 unit.
         triangles: (triangles, 3) uint32.
@@ -39,7 +39,7 @@ class Mesh:
 
     @cached_property
     def corners(self) -> NDArray[np.float64]:
-        """(8, 3): corners of the bounding box, mesh frame."""
+        """Corners (8, 3) of the bounding box, mesh frame."""
         bounds = np.stack([self.position.min(axis=0), self.position.max(axis=0)]).astype(np.float64)
         x, y, z = np.meshgrid(*bounds.T)
         return np.stack([x, y, z], axis=-1).reshape(-1, 3)
@@ -50,7 +50,7 @@ class Instance:
     """One placement of a mesh.
 
     Attributes:
-        name: for messages and pictures.
+        name: name for messages and pictures.
         mesh: index into `Scene.meshes`.
         world_from_mesh: (4, 4) float64; rotation, uniform or non-uniform scale, translation.
     """
@@ -69,7 +69,7 @@ class LightSource:
         vector: (3,) for "directional" the unit direction in which the light travels, for "point" its position
             (metres); world frame.
         colour: (3,) linear RGB times intensity; for a point light the value at 1 m, falling with 1 / distance^2.
-        name: for messages.
+        name: name for messages.
     """
 
     kind: str
@@ -83,11 +83,11 @@ class Scene:
     """Meshes, instances and lights in the world.
 
     Attributes:
-        name: for messages.
+        name: name for messages.
         meshes, instances, lights: as above.
         ambient: (3,) linear RGB added to every surface's irradiance.
         background: (3,) linear RGB where nothing is hit.
-        not_drawn: what mesh files state and no method of ours draws, one text per entry.
+        not_drawn: content of mesh files that is not drawn, one text per entry.
     """
 
     name: str
@@ -100,13 +100,13 @@ class Scene:
 
     @property
     def warnings(self) -> list[str]:
-        """A sentence that names all that mesh files state and no method draws, or nothing."""
+        """One sentence that lists the content of mesh files that is not drawn, if there is any."""
         if not self.not_drawn:
             return []
         return [f"Surfaces are drawn matt and opaque by every method. Not drawn: {'; '.join(self.not_drawn)}."]
 
     def bright_lights(self) -> dict[str, float]:
-        """Lights that alone make a white surface brighter than white, by name, and by how many times they do.
+        """Return the lights that alone make a white surface brighter than white: the factor, by name.
 
         For a point light the surface is in the middle of the nearest instance.
         """
@@ -124,7 +124,7 @@ class Scene:
 
     @property
     def triangle_count(self) -> int:
-        """Triangles over all instances."""
+        """Number of triangles over all instances."""
         return sum(len(self.meshes[instance.mesh].triangles) for instance in self.instances)
 
     def mesh_of(self, instance: Instance) -> Mesh:
@@ -133,13 +133,13 @@ class Scene:
 
     @cached_property
     def bounds(self) -> NDArray[np.float64]:
-        """(2, 3): the least and the greatest corner of all instances, world frame."""
+        """Lowest and highest corner (2, 3) of all instances, world frame."""
         corners = [world_positions(self.mesh_of(instance), instance) for instance in self.instances]
         return np.stack([np.min([c.min(0) for c in corners], 0), np.max([c.max(0) for c in corners], 0)])
 
 
 def world_positions(mesh: Mesh, instance: Instance) -> NDArray[np.float64]:
-    """Vertices of an instance in the world, (vertices, 3)."""
+    """Return the vertices (vertices, 3) of an instance in the world."""
     matrix = instance.world_from_mesh
     return np.asarray(mesh.position @ matrix[:3, :3].T + matrix[:3, 3])
 

@@ -37,15 +37,15 @@ _BRIGHTEST = 1e6
 _EXPOSURES = 1e-9, 1e6
 _MOST_OBJECTS = 1000
 _MOST_LIGHTS = 100
-_MOST_TRIANGLES = 20_000_000  # over all placements
+_MOST_TRIANGLES = 20_000_000  # largest number of triangles over all placements
 _MOST_SEGMENTS = 2000
-_MOST_QUADS = 1_000_000  # per shape
+_MOST_QUADS = 1_000_000  # largest number of quads per shape
 
 Placed = tuple[tuple[Mesh, ...], tuple[Instance, ...], tuple[LightSource, ...], tuple[str, ...]]
 
 
 def scene_path(spec: str | Path) -> Path:
-    """Path of a scene file or mesh file, given a shipped scene's name or a path.
+    """Return the path of a scene file or mesh file, given a shipped scene's name or a path.
 
     Raises:
         BadInputError: the scene does not exist.
@@ -57,7 +57,7 @@ def load_scene(spec: str | Path) -> Scene:
     """Load a shipped scene by name, a scene file (.toml) by path, or a mesh file by path; metres, y up.
 
     A mesh file becomes a scene with its content centred 1 m straight ahead of the world's origin, and with the file's
-    lights or, where it has none, two directional ones.
+    lights or, if it has none, two directional lights.
 
     Raises:
         BadInputError: no such scene; a missing, unknown or faulty key; a fault in a mesh file.
@@ -135,7 +135,7 @@ def _light(table: Table) -> LightSource:
 
 
 def _object(table: Table, folder: Path) -> Placed:
-    """Return a shape or a mesh file, placed."""
+    """Return a shape or a mesh file with its placement."""
     if table.has("mesh") == table.has("shape"):
         raise table.fail("needs either 'mesh', a file, or 'shape', one of the built-in ones; write one of them.")
     world_from_object = _placement(table)
@@ -172,7 +172,7 @@ def _moved(light: LightSource, world_from_object: NDArray[np.float64]) -> LightS
 
 
 def _placement(table: Table) -> NDArray[np.float64]:
-    """(4, 4) world_from_object: scale, then rotation, then translation."""
+    """Return world_from_object (4, 4): scale, then rotation, then translation."""
     if table.has("rotation_deg") and table.has("quaternion_xyzw"):
         raise table.fail("has both 'rotation_deg' and 'quaternion_xyzw'; keep one.")
     if table.has("scale") and table.has("scale_xyz"):
@@ -192,7 +192,7 @@ def _placement(table: Table) -> NDArray[np.float64]:
 
 
 def _shape(table: Table, shape: str) -> Mesh:
-    """Call a shape's function; its keyword arguments are the table's keys, each read as its default's type."""
+    """Call a shape's function; keyword arguments are the table's keys, each read as the type of its default."""
     make = SHAPES[shape]
     parameters = inspect.signature(make).parameters
     present = table.keys()
@@ -205,7 +205,7 @@ def _shape(table: Table, shape: str) -> Mesh:
     if parts > _MOST_QUADS:
         raise table.fail(f"asks for {parts} parts, more than {_MOST_QUADS}; lower its numbers.")
     try:
-        with np.errstate(all="ignore"):  # the next check refuses what overflows
+        with np.errstate(all="ignore"):  # the next check refuses overflows
             mesh = make(**values)
     except BadInputError as error:
         raise table.fail(str(error)) from error
@@ -217,7 +217,7 @@ def _shape(table: Table, shape: str) -> Mesh:
 
 
 def _value(table: Table, key: str, default: object) -> object:
-    """Return a value of the type of the default; sizes and counts are above 0, or 0 where the default is 0."""
+    """Return a value of the type of the default; sizes and counts are above 0, or from 0 if the default is 0."""
     if isinstance(default, tuple):
         most = _SHAPE_M if key.endswith("_m") else _BRIGHTEST
         return tuple(table.vector(key, len(default), least=0, most=most).tolist())

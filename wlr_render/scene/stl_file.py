@@ -28,11 +28,11 @@ def stl_meshes(path: Path, content: bytes) -> Iterator[RawMesh]:
 
     end = _HEADER_BYTES + _FACET_BYTES * int.from_bytes(content[80:_HEADER_BYTES], "little")
     if _HEADER_BYTES <= end <= len(content):
-        content, facets = content[:end], (end - _HEADER_BYTES) // _FACET_BYTES  # some writers add bytes
+        content, facets = content[:end], (end - _HEADER_BYTES) // _FACET_BYTES  # some writers append bytes
     elif not (facets := len(_FACET.findall(content))):
         raise BadInputError(f"{path}: is neither an ASCII STL nor a binary one of the stated length; export it again.")
     else:
-        # trimesh reads one statement a line, and would guess the encoding.
+        # trimesh reads one statement per line, and would guess the encoding.
         content = _STATEMENT.sub(b"\n", content).decode("utf-8", errors="replace").encode()
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # numpy's warning about text that is not a number

@@ -23,7 +23,7 @@ def from_grid(name: str, position: FloatArray, normal: FloatArray, uv: FloatArra
     """Return a grid of points as a mesh, its outside where the columns run right and the rows run down.
 
     Args:
-        name: for messages.
+        name: name for messages.
         position, normal: (rows, columns, 3); normals are scaled to unit length here.
         uv: (rows, columns, 2), by default 0..1 over the grid.
     """
@@ -37,7 +37,7 @@ def from_grid(name: str, position: FloatArray, normal: FloatArray, uv: FloatArra
 
 
 def _mesh(name: str, position: FloatArray, normal: FloatArray, triangles: NDArray[np.uint32], uv: FloatArray) -> Mesh:
-    """Assemble a mesh; triangles that a pole of the grid has shrunk to a line are dropped."""
+    """Assemble a mesh; triangles that are degenerate at a pole of the grid are dropped."""
     corners = position[triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
@@ -46,13 +46,13 @@ def _mesh(name: str, position: FloatArray, normal: FloatArray, triangles: NDArra
 
 
 def revolved(name: str, profile: FloatArray, segments: int = 64, smooth: bool = False) -> Mesh:
-    """Turn a profile about the y axis.
+    """Return the surface of revolution of a profile about the y axis.
 
     Args:
-        name: for messages.
+        name: name for messages.
         profile: (n, 2) radius and height, listed from the top down on the outside, so that the outside is to its left.
-        segments: around the axis.
-        smooth: one rounded surface; otherwise each stretch of the profile has its own edge-to-edge shading.
+        segments: number of segments around the axis.
+        smooth: True for one rounded surface; otherwise the shading has an edge at each point of the profile.
     """
     if not smooth:
         stretches = [revolved(name, profile[i : i + 2], segments, smooth=True) for i in range(len(profile) - 1)]
@@ -91,7 +91,7 @@ def cuboid(name: str, size: Sequence[float], faces: Sequence[str] = tuple(_FACES
     """Return a box with its origin in the middle of its bottom; each face carries the whole texture, upright.
 
     Args:
-        name: for messages.
+        name: name for messages.
         size: width (x), height (y), depth (z).
         faces: which of "front" (+z), "back", "right" (+x), "left", "top", "bottom" to make.
     """
@@ -124,7 +124,7 @@ def coloured(mesh: Mesh, colour: Colour) -> Mesh:
 
 
 def merged(name: str, parts: Sequence[Mesh]) -> Mesh:
-    """Several meshes as one; they share the first one's material, and either all or none have vertex colours."""
+    """Merge meshes into one with the material of the first; either all or none have vertex colours."""
     starts = np.cumsum([0] + [len(part.position) for part in parts[:-1]])
     shifted = [part.triangles + start for part, start in zip(parts, starts, strict=True)]
     colours = [part.vertex_colour for part in parts if part.vertex_colour is not None]
@@ -140,7 +140,7 @@ def merged(name: str, parts: Sequence[Mesh]) -> Mesh:
 
 
 def turn(about_x: float, about_y: float, about_z: float) -> FloatArray:
-    """Rotation (3, 3) by angles in radians about the fixed axes z, then x, then y: roll, pitch, yaw."""
+    """Return the rotation (3, 3) by angles in radians about the fixed axes z, then x, then y: roll, pitch, yaw."""
     about = transforms.rotation_about
     return about("y", about_y) @ about("x", about_x) @ about("z", about_z)
 
@@ -188,13 +188,13 @@ def dot_board(
     diameter_m: float = 0.008,
     marker_diameter_m: float = 0.0,
 ) -> Mesh:
-    """Return a white board of black round dots facing +z, origin at its centre, a pitch of margin around the dots.
+    """Return a white board of black round dots facing +z, origin at its centre, with a margin of one pitch.
 
     Args:
-        columns, rows: of dots.
-        pitch_m: between centres.
-        diameter_m: of a dot.
-        marker_diameter_m: of three larger dots near the centre that tell up and right; 0 for none.
+        columns, rows: numbers of dots.
+        pitch_m: distance between centres.
+        diameter_m: diameter of a dot.
+        marker_diameter_m: diameter of three larger dots near the centre that show up and right; 0 for none.
 
     Raises:
         BadInputError: markers on a board of fewer than 5 columns or 3 rows, or more dots than its texture holds.

@@ -35,7 +35,7 @@ def sculpture(height_m: float = 0.2, around: int = 96, along: int = 1200) -> Mes
     low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
     foot = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
     scale = height_m / (high[1] - low[1])
-    # The valleys between the flutes get less of the light from around.
+    # The valleys between the flutes get less ambient light.
     shade = (0.4 + 0.6 * relief).reshape(-1, 1)
     return Mesh(
         "sculpture",
@@ -49,7 +49,7 @@ def sculpture(height_m: float = 0.2, around: int = 96, along: int = 1200) -> Mes
 
 
 def _relief(t: FloatArray, phi: FloatArray) -> FloatArray:
-    """Height of the skin's relief in 0..1: flutes that wind around the tube, crossed by ripples."""
+    """Return the height of the skin's relief in 0..1: flutes that wind around the tube, crossed by ripples."""
     flutes = 0.5 + 0.5 * np.cos(_FLUTES * phi + _TWISTS * t)
     ripples = 0.5 + 0.5 * np.cos(_RIPPLES * t - 2 * phi)
     return np.asarray(0.8 * flutes + 0.2 * ripples)
@@ -62,11 +62,11 @@ def _centre_line(t: FloatArray) -> FloatArray:
 
 
 def _surface(t: FloatArray, phi: FloatArray, relief: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions and normals, (rows, columns, 3), before scaling."""
+    """Return positions and normals, (rows, columns, 3), before scaling."""
     step = 1e-5
     tangent = _centre_line(t + step) - _centre_line(t - step)
     tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
-    # The normal of the torus that carries the knot: it comes back to itself after one round, without a seam.
+    # The normal of the torus that carries the knot closes after one round, without a seam.
     outward = np.stack([-np.cos(3 * t) * np.sin(2 * t), np.cos(3 * t) * np.cos(2 * t), np.sin(3 * t)], axis=-1)
     sideways = np.cross(tangent, outward)
     radius = (0.5 + 0.17 * relief)[..., None]
@@ -77,7 +77,7 @@ def _surface(t: FloatArray, phi: FloatArray, relief: FloatArray) -> tuple[FloatA
 
 
 def _periodic_difference(position: FloatArray, axis: int) -> FloatArray:
-    """Central differences on a grid whose last row or column repeats the first."""
+    """Return central differences on a grid whose last row or column repeats the first."""
     rolled = np.moveaxis(position, axis, 0)[:-1]
     difference = np.roll(rolled, -1, axis=0) - np.roll(rolled, 1, axis=0)
     return np.moveaxis(np.concatenate([difference, difference[:1]]), 0, axis)

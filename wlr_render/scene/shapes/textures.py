@@ -24,13 +24,13 @@ def mixed(first: FloatArray, second: FloatArray, weight: FloatArray) -> FloatArr
 
 
 def texel_grid(height: int, width: int) -> tuple[FloatArray, FloatArray]:
-    """u, v in 0..1 at the texel centres, (height, width) each."""
+    """Return u and v in 0..1 at the texel centres, (height, width) each."""
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     return u, v
 
 
 def inside(distance: FloatArray, softness: float) -> FloatArray:
-    """1 where a signed distance is negative, 0 where it is positive, with an edge of the given width."""
+    """Return 1 where a signed distance is negative, 0 where it is positive, with an edge of the given width."""
     return np.asarray(np.clip(0.5 - distance / softness, 0, 1))
 
 
@@ -40,7 +40,7 @@ def wave(phase: FloatArray, duty: float = 0.5, softness: float = 0.02) -> FloatA
 
 
 def noise(height: int, width: int, rows: float, columns: float, seed: int) -> FloatArray:
-    """Smooth periodic noise, mean 0, deviation 1, with about `rows` x `columns` bumps over the texture."""
+    """Return smooth periodic noise, mean 0, deviation 1, with about `rows` x `columns` bumps over the texture."""
     white = np.random.default_rng(seed).normal(size=(height, width))
     frequency_v = np.fft.fftfreq(height, 1 / height)[:, None] / rows
     frequency_u = np.fft.fftfreq(width, 1 / width)[None] / columns
@@ -60,7 +60,7 @@ def inlay() -> Texture:
 
 
 def wood() -> Texture:
-    """Planks with grain along u. Repeats."""
+    """Return planks with grain along u. Repeats."""
     height, width = 512, 1024
     u, v = texel_grid(height, width)
     grain = noise(height, width, 90, 3, 1) * 0.5 + noise(height, width, 14, 1.5, 2) * 0.7
@@ -72,7 +72,7 @@ def wood() -> Texture:
 
 
 def marble() -> Texture:
-    """Pale stone with grey veins. Repeats."""
+    """Return pale stone with grey veins. Repeats."""
     swirl = noise(512, 512, 5, 5, 3) + 0.4 * noise(512, 512, 16, 16, 4)
     vein = np.exp(-np.abs(swirl) * 9)
     cloud = 0.03 * noise(512, 512, 3, 3, 5)[..., None]
@@ -80,7 +80,7 @@ def marble() -> Texture:
 
 
 def stripes(colours: tuple[str, ...]) -> Texture:
-    """Bands of sRGB colours "rrggbb" across u. Repeats."""
+    """Return bands of sRGB colours "rrggbb" across u. Repeats."""
     u, _ = texel_grid(64, 1024)
     index = np.floor(u * len(colours)).astype(int)
     return encoded(np.stack([hex_colour(code) for code in colours])[index])
