@@ -44,7 +44,7 @@ class HeadTrajectory(_Sampled):
         time_s: (n,) ascending, n >= 2.
         position_in_world: (n, 3) origin of the device frame, metres.
         world_from_device_xyzw: (n, 4) unit quaternions.
-        name: for messages, e.g. the file.
+        name: name for messages, e.g. the file.
         invalid_s: (m,) times at which the recording has no valid sample.
         unread: columns of the file that are not read.
     """
@@ -97,7 +97,7 @@ class ViewpointTrack(_Sampled):
     Attributes:
         time_s: (n,) ascending, n >= 2.
         viewpoint_in_device: (n, 3) metres.
-        name: for messages.
+        name: name for messages.
         invalid_s: (m,) times at which the recording has no valid sample.
     """
 
@@ -122,7 +122,7 @@ class GazeTrack(_Sampled):
         time_s: (n,) ascending, n >= 2.
         gaze_dir: (n, 3) unit, device frame.
         eye_model: rotation centre and pupil distance.
-        name: for messages.
+        name: name for messages.
         invalid_s: (m,) times at which the recording has no valid sample.
     """
 
@@ -162,7 +162,7 @@ class EyeTrajectory:
 
     Attributes:
         tracks: track of each eye, by "left" or "right".
-        name: for messages, e.g. the file.
+        name: name for messages, e.g. the file.
         unread: columns of the file that are not read.
     """
 
