@@ -143,7 +143,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
 
         Raises:
             BadInputError: an unknown kind, a point behind the base plane, captures that determine nothing or contradict
-                each other, or a model that may have two solutions; the sentence names the remedy.
+                each other, or a model that may have two solutions; the message names the remedy.
         """
         if kind not in self.kinds:
             choice = ", ".join(self.kinds)

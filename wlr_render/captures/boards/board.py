@@ -60,7 +60,7 @@ class BoardObservation:
         pixel: (n, 2) positions of the features, camera pixels from the outer corner of the top-left pixel; for a dot
             its *centre*, without the bias of a perspective view of a disc.
         sigma_px: (n,) estimated standard deviation of `pixel` per axis.
-        ambiguous_half_turn: True if the board looks the same after a half turn, so that the indices may be those of the
+        ambiguous_half_turn: True if the board looks the same after a half turn, so that the indices may belong to the
             turned board; `half_turned` has the alternative.
         discs: discs of the dots, from which `pixel` is recomputed once the lens is known; None for corners.
     """

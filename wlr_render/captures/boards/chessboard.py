@@ -122,7 +122,7 @@ class Chessboard(CellBoard):
     def _detect(self, grey: NDArray[np.uint8]) -> Iterator[FloatArray]:
         """Yield the pixels (rows, columns, 2) found by each detector, from the picture's outer corner."""
         shape = (self.columns, self.rows)
-        # Blurred pictures, and those of wide lenses, may be readable only at half their size.
+        # Pictures that are blurred or from a wide lens may be readable only at half their size.
         for scale in (1, 2):
             if scale > 1:
                 if min(grey.shape) < _LEAST_HALVED_PX:

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
-_FIRST_BLUR_PX = 0.8  # initial blur of the fit, that of a sharp photograph
+_FIRST_BLUR_PX = 0.8  # initial blur of the fit, as in a sharp photograph
 _LEAST_BLUR_PX = 0.25  # least blur; the standard deviation of a square pixel is 0.29 px
 _REACH_PART = 0.42  # half width of the window, in cells
 _LEAST_REACH_PX, _LEAST_REACH_PART = 4.0, 0.7  # least half width; the limit in cells excludes other corners
 _MOST_REACH_PX = 8.0  # largest half width; beyond it, edges are curved
 _GUARD_BLURS = 2.5  # width of the unused margin around another shape, in blurs
 _LEAST_MARGIN = 0.5  # least share of the distance to another shape that is used
-_STEPS = 20  # most steps of a fit; a feature that takes more is no corner
+_STEPS = 20  # most steps of a fit; features that need more are not corners
 _CONVERGED_PX = 1e-4  # last step of a converged fit, a fiftieth of the error without noise
 _MOST_SHIFT_PART = 0.5  # largest shift in half widths of the window; a larger one leads to another feature
 _LEAST_PIXELS = 20  # fewest pixels of a fit, about twice its 11 unknowns

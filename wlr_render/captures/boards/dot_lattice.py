@@ -23,7 +23,7 @@ _KERNEL_PX = 25  # side of the closing's square, on each level
 LEAST_AREA_PX = 8.0
 """Least area of a dot on the finest level."""
 _LEAST_AREA_BEYOND_PX = 60.0  # least area on coarser levels; the previous level detects smaller dots better
-_FULLNESS = (0.8, 1.15)  # range of area over that of the ellipse with equal second moments; 1 for an ellipse
+_FULLNESS = (0.8, 1.15)  # range of the area relative to the ellipse with equal second moments
 _LEAST_AXES_RATIO = 0.3  # least ratio of a dot's axes, for a board tilted by 70 degrees
 _OVER_NOISE = 4.0  # least depth of a dot, in median differences of closing and picture
 _OVER_DEEPEST = 0.05  # least depth of a dot relative to the deepest dots
@@ -82,7 +82,7 @@ def find_dots(image: NDArray[np.generic]) -> Dots:
         if min(level.shape) < _KERNEL_PX:
             break
         dots, depth = _dots_of_level(level, _LEAST_AREA_BEYOND_PX if octave else LEAST_AREA_PX)
-        # The centres of the next level's pixels lie on those of every second pixel of this level.
+        # Pixels of the next level are centred on every second pixel of this level.
         scale = 2.0**octave
         levels.append(Dots((dots.centre - 0.5) * scale + 0.5, dots.spread * scale**2))
         depths.append(depth)
