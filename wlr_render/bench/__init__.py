@@ -1,1 +1,1 @@
-"""The nominal bench and its forward model: what calibration starts from and diagnosis predicts with."""
+"""The nominal bench, from which calibration starts, and its forward model, with which diagnosis predicts readings."""

@@ -20,7 +20,7 @@ from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 
-_FAR, _LARGE = 1e4, 1e6  # largest lengths in a file, mm, and largest other numbers
+_FAR, _LARGE = 1e4, 1e6  # largest length in a file, mm, and largest other number
 _ZERO_2, _ZERO_3, _UNIT_3 = partial(np.zeros, 2), partial(np.zeros, 3), partial(np.eye, 3)
 _number = partial(Key, most=_LARGE)
 _positive = partial(Key, above=0, most=_LARGE)
@@ -38,7 +38,7 @@ def _pair(first: Key, second: Key) -> Keys:
 
 @dataclass(frozen=True, eq=False)
 class EyeballCamera:
-    """The eyeball camera: a pinhole with radial lens distortion that looks along -z.
+    """The eyeball camera: a pinhole camera with radial lens distortion that looks along -z.
 
     Attributes:
         size_px: (2,) width and height.
@@ -48,7 +48,7 @@ class EyeballCamera:
             Engineering 37 (1971) 855: distorted tangents = true tangents * (1 + k1 r^2 + k2 r^4).
         device_from_camera: (3, 3) camera rotation; the identity looks along -z.
         pupil_offset: (3,) true minus nominal centre of projection, metres.
-        point_sigma_px: stated repeatability of a point, per axis.
+        point_sigma_px: stated repeatability of an image point, per axis.
     """
 
     size_px: Annotated[FloatArray, _pair(_size("width"), _size("height"))]
@@ -68,11 +68,11 @@ class EyeballCamera:
         )
 
     def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
-        """Return the pixels (n, 2) of tangents (n, 2) in the camera frame, y up; NaN where the lens cannot see."""
+        """Return the pixels (n, 2) of tangents (n, 2) in the camera frame, y up; NaN outside the field of view."""
         return self._lens.pixel_of_tangents(tangents * [1.0, -1.0])
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Return the tangents (n, 2) of pixels (n, 2), y up; NaN where the lens has none."""
+        """Return the tangents (n, 2) of pixels (n, 2), y up; NaN where the lens model has none."""
         return self._lens.tangents_of_pixel(pixel) * [1.0, -1.0]
 
     def view_dir_of_pixel(self, pixel: FloatArray) -> FloatArray:
@@ -89,9 +89,9 @@ class Stage:
     """The motion stage.
 
     Attributes:
-        origin: (3,) stage reading at which `axes` changes nothing.
+        origin: (3,) stage reading about which `axes` acts.
         axes: (3, 3) true displacement from `origin` = axes @ displacement read.
-        backlash: (2,) true minus read x after a move towards +x, and towards -x, metres.
+        backlash: (2,) true minus read x after a move towards +x and after a move towards -x, metres.
     """
 
     origin: Annotated[FloatArray, _point()]
@@ -122,7 +122,7 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class TargetPose:
-    """A pose of the target in a bench file: device_from_target (4, 4) as tracking reports it, and the pitch there."""
+    """A pose of the target in a bench file: device_from_target (4, 4) as reported by tracking, and the dots' pitch."""
 
     device_from_target: Annotated[FloatArray, _POSE]
     pitch: Annotated[float, _positive("pitch_mm", LENGTH)]
@@ -145,10 +145,10 @@ class Mount:
 
     Attributes:
         panel_creep: (2,) total creep of the panel along u and v until it is warm, metres.
-        warm_up_s: time constant: at time t the fraction 1 - exp(-t / warm_up_s) of the creep is done.
+        warm_up_s: time constant of the creep, of which the fraction 1 - exp(-t / warm_up_s) has happened at time t.
         slip_time_s: time at which the headset slips; infinite for never.
-        slip: (3,) displacement of the camera in the device frame from then on, metres.
-        slip_rotation: (3,) rotation of the camera in the device frame from then on, radians about x, y, z.
+        slip: (3,) displacement of the camera by the slip, device frame, metres.
+        slip_rotation: (3,) rotation of the camera by the slip, device frame, radians about x, y, z.
     """
 
     panel_creep: Annotated[FloatArray, Key("panel_creep_mm", LENGTH, shape=(2,), most=_FAR)] = field(
@@ -169,7 +169,7 @@ class PanelReadout:
     Attributes:
         origin_px: (2,) decoded minus true position.
         channel_scale: (3,) magnification about the panel's centre in red, green and blue.
-        channel_shift_px: (3, 2) shift of the picture in red, green and blue.
+        channel_shift_px: (3, 2) shift of the red, green and blue pictures.
     """
 
     origin_px: Annotated[FloatArray, _number(shape=(2,))] = field(default_factory=_ZERO_2)
@@ -183,7 +183,7 @@ class EyeTracking:
 
     Attributes:
         bias: (3,) true minus tracked position of the pupil, metres.
-        gaze_radius: pupil motion with gaze that tracking misses, in metres: this radius * (gaze - straight ahead).
+        gaze_radius: radius r, metres, of the pupil motion that tracking misses: r * (gaze - straight ahead).
     """
 
     bias: Annotated[FloatArray, _point("bias_mm")] = field(default_factory=_ZERO_3)
@@ -195,8 +195,8 @@ class Clock:
     """Delays of the display.
 
     Attributes:
-        latency_s: delay from the time a frame is drawn for to the display of its first row.
-        scanout_s: time from the display of the panel's first row to its last.
+        latency_s: delay from the time for which a frame is drawn to the display of its first row.
+        scanout_s: time from the display of the panel's first row to that of its last row.
     """
 
     latency_s: Annotated[float, _number()] = 0.0
@@ -209,12 +209,12 @@ class Bench:
 
     Attributes:
         device: the headset.
-        eye: which of its eyes.
-        camera, stage, target, tracking, mount, readout, eye_tracking, clock: the parts; see there.
+        eye: "left" or "right".
+        camera, stage, target, tracking, mount, readout, eye_tracking, clock: parts of the bench.
         wavelengths_um: (3,) vacuum wavelengths of red, green and blue light, micrometres.
         target_wavelength_um: wavelength in which targets and real dots are observed.
-        effects: smooth displacements at its stations that no attribute of a part states.
-        priors: (mean, sigma) by name of a cause and of its parameter, in the parameter's unit: how well it is known.
+        effects: smooth displacements at stations of the bench that no attribute of a part describes.
+        priors: (mean, sigma) of each parameter, by the names of cause and parameter, in the parameter's unit.
     """
 
     device: Device

@@ -1,8 +1,8 @@
-"""Effects at the stations of a bench that no key of its parts states: displacements that a diagnosis locates.
+"""Effects at the stations of a bench: displacements that no key of the bench's parts describes and a diagnosis locates.
 
-An effect is a function of the station's coordinates: a polynomial, cells, waves, or a function of a user's own cause.
-Coordinates and displacements are in the units of the bench file; `displacement` converts them from and to metres and
-radians.
+An effect is a function of the station's coordinates: a polynomial, cells, waves, or the function of a user-defined
+cause. Coordinates and displacements are in the units of the bench file; `displacement` converts between these and
+metres and radians.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,9 +25,9 @@ _UM, _URAD, _MM = 1e-6, 1e-6, 1e-3
 _POSE = (_UM, _UM, _UM, _URAD, _URAD, _URAD)
 _ON_COMBINER = "place right of and above the line of sight straight ahead, mm"
 _PX, _AS_IS, _MRAD = (1.0, 1.0), (1.0, 1.0, 1.0), (1e-3, 1e-3, 1e-3)
-_STEP = 1e-4  # step in scaled coordinates for the slopes of a function
-_DEGREES = {1: HIGHEST_ORDER, 2: 24, 3: 10, 4: 6, 5: 5}  # degree of the polynomial for a function of 1 to 5 coordinates
-_NODES = 20  # places at which to find the coordinates on which a function depends
+_STEP = 1e-4  # step of finite differences, in scaled coordinates
+_DEGREES = {1: HIGHEST_ORDER, 2: 24, 3: 10, 4: 6, 5: 5}  # polynomial degree for a function of 1 to 5 coordinates
+_NODES = 20  # number of places at which a function is tested for the coordinates that it depends on
 DISPLAY, SEE_THROUGH = PARTS = ("display", "see-through")
 """Parts of a session that an effect may be limited to."""
 
@@ -37,11 +37,11 @@ class EffectKind:
     """Kind of an effect: its coordinates at a station and the displacement there.
 
     Attributes:
-        coordinates: their names, with the unit of the file.
-        per_coordinate: metres, seconds or pixels in that unit.
-        displacement: names of its components, with the unit of the file.
-        per_displacement: metres, radians or pixels in that unit, of each component.
-        limit: attribute of `BenchEffect` that limits it to some readings; empty without a limit.
+        coordinates: names of the coordinates, with the unit in the file.
+        per_coordinate: unit of each coordinate in metres, seconds or pixels.
+        displacement: names of the displacement's components, with the unit in the file.
+        per_displacement: unit of each component in metres, radians or pixels.
+        limit: attribute of `BenchEffect` that limits effects of this kind to some readings; empty without a limit.
     """
 
     coordinates: str
@@ -94,7 +94,7 @@ DOT, TURN, LATE, PUPIL = (
     "delay of the picture, ms",
     "true pupil from the tracked one x, y, z, mm",
 )
-"""What effects of a run-time session displace."""
+"""Displacements by effects of a run-time session."""
 
 _IMAGE, _PANEL, _RATE = "camera pixel u, v", "panel pixel u, v", "rate of the head x, y, z, rad/s"
 
@@ -119,11 +119,11 @@ KINDS = {**BENCH_KINDS, **RUN_TIME_KINDS}
 
 @dataclass(frozen=True, eq=False)
 class AnyFunction:
-    """A smooth function of a user's own.
+    """A smooth function of a user-defined cause.
 
     Attributes:
         function: maps coordinates (n, variables) to displacements (n, components).
-        box: coordinates in which a file states it.
+        box: range of coordinates in which a file states the function.
     """
 
     function: Callable[[FloatArray], FloatArray]
@@ -140,7 +140,7 @@ class AnyFunction:
         return self(inputs), np.stack(slopes, axis=-1)
 
     def as_polynomial(self) -> Polynomial:
-        """Return the polynomial through its values at Chebyshev nodes of the box, as a file states it."""
+        """Return the polynomial through the values at Chebyshev nodes of the box, for bench files."""
         places = self.box.places(_NODES)
         value, axes = self(places), []
         for axis in range(len(self.box.low)):
@@ -165,12 +165,12 @@ class BenchEffect:
 
     Attributes:
         station, displaces: the kind, a key of `KINDS`.
-        function: displacement by the station's coordinates, in the units of the file; OpenXR axes.
-        target_pose: pose of the target that it is for; -1 for all.
-        part: part of the session that shows it, one of `PARTS`; empty for all.
-        channel: colour that shows it: 0 red, 1 green, 2 blue; -1 for all.
-        meeting: number of the surface along the display's path on which the places of a view are.
-        covariance: (p, p) of the coefficients, row by row, in the units of the file; None where it is not known.
+        function: displacement as a function of the station's coordinates, in the units of the file; OpenXR axes.
+        target_pose: pose of the target with the effect; -1 for all.
+        part: part of the session with the effect, one of `PARTS`; empty for all.
+        channel: colour with the effect: 0 red, 1 green, 2 blue; -1 for all.
+        meeting: for a view, the number of the surface along the display's path that has the coordinates.
+        covariance: (p, p) covariance of the coefficients, row by row, in the units of the file; None if unknown.
     """
 
     station: str
@@ -197,8 +197,9 @@ class BenchEffect:
         Args:
             station, displaces: as in an `[[effect]]` of bench.toml.
             function: maps coordinates (n, variables) to displacements (n, components), in the units of the file.
-            low, high: bounds of the coordinates, between which a corrected bench.toml states it as a polynomial.
-            part: part of the session that shows it, "display" or "see-through"; empty for both.
+            low, high: bounds of the coordinates, between which a corrected bench.toml states the function as a
+                polynomial.
+            part: part of the session with the effect, "display" or "see-through"; empty for both.
 
         Raises:
             BadInputError: the station is unknown, or the bounds or the function do not fit it.
@@ -240,11 +241,11 @@ def displacement(
     """Return the sum of the effects of one kind, (n, components) in metres, radians or pixels; None without any.
 
     Args:
-        effects: of the bench.
-        station, displaces: the kind.
-        coordinates: (n, v) in metres, seconds or pixels.
-        part: part of the session that the rows are of, where effects may be limited to one.
-        numbers: (n,) of each row, for the attribute of this name by which effects may be limited.
+        effects: effects of the bench.
+        station, displaces: the kind of effect.
+        coordinates: (n, v) coordinates in metres, seconds or pixels.
+        part: part of the session with these rows, if effects may be limited to one part.
+        numbers: (n,) value of each row for an attribute, such as `channel`, to which effects may be limited.
     """
     of_kind = [each for each in effects if (each.station, each.displaces) == (station, displaces)]
     of_kind = [each for each in of_kind if not part or each.part in ("", part)]
@@ -263,7 +264,7 @@ def displacement(
 
 @lru_cache(maxsize=16)
 def optics_with_effects(optics: EyeOptics, effects: tuple[BenchEffect, ...]) -> EyeOptics:
-    """Return an eye's optics with the heights that effects add to its combiner."""
+    """Return an eye's optics with the effects' heights added to its combiner."""
     for effect in effects:
         if effect.displaces in SURFACES and not isinstance(effect.function, Cells):
             error = partial(SmoothSag, effect.function)
@@ -272,7 +273,7 @@ def optics_with_effects(optics: EyeOptics, effects: tuple[BenchEffect, ...]) -> 
 
 
 def before_shift(after: FloatArray, shift: Callable[[FloatArray], FloatArray | None]) -> FloatArray:
-    """Return the places (n, k) from which a shift, a function of the place, leads to places `after`."""
+    """Return the places (n, k) from which a shift, a function of the place, leads to the places `after` (n, k)."""
     place = after
     for _ in range(_ROUNDS):
         moved = shift(place)

@@ -14,10 +14,10 @@ from wlr_render.numerics.waves import LocalWaves, Wave
 from wlr_render.optics.combiner_form import SURFACES
 
 _MOST_EFFECTS, _MOST_TERMS, _MOST_CELLS = 50, 1000, 50_000
-_MOST_WITH_COVARIANCE = 300  # coefficients
-_ASYMMETRY = _BELOW_ZERO = 1e-6  # tolerances of a covariance, relative to its largest value and eigenvalue
-_ANYWHERE = 1e6  # largest coordinate of a station without an edge
-_SHORTEST = 1e-6  # period, in the unit of its coordinate
+_MOST_WITH_COVARIANCE = 300  # most coefficients of an effect with a covariance in the file
+_ASYMMETRY = _BELOW_ZERO = 1e-6  # tolerances of a covariance, relative to the largest value and eigenvalue
+_ANYWHERE = 1e6  # largest coordinate of a station without edges
+_SHORTEST = 1e-6  # shortest period, in the unit of its coordinate
 _DIGITS = 9  # digits of a covariance in the file
 
 
@@ -25,7 +25,7 @@ def effects_of(file: Table, bench: Bench) -> tuple[BenchEffect, ...]:
     """Read the [[effect]] tables of a bench file.
 
     Raises:
-        BadInputError: a table breaks the format, or names places that its station does not have.
+        BadInputError: a table breaks the format, or states coordinates outside its station.
     """
     return tuple(_effect(table, bench) for table in file.tables("effect", required=False, most=_MOST_EFFECTS))
 
@@ -72,7 +72,7 @@ def _effect(table: Table, bench: Bench) -> BenchEffect:
 
 
 def _limit(table: Table, name: str, bench: Bench) -> Any:
-    """Read the value to which an effect is limited, see `EffectKind.limit`."""
+    """Read the value of `EffectKind.limit` to which an effect is limited."""
     if name == "part":
         return table.text(name, choices=PARTS)
     count = len(bench.target.pitch) if name == "target_pose" else len(bench.wavelengths_um)

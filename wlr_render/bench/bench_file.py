@@ -1,4 +1,4 @@
-"""Read and write bench files, the nominal bench as TOML (format: docs/bench-session.md)."""
+"""Read and write bench files: the nominal bench as TOML (format: docs/bench-session.md)."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -45,7 +45,7 @@ SECTIONS = {
     "light": Bench,
     "tracking": Tracking,
 }
-"""Records of a bench file by the names of their tables; [target] without its poses, [light] for `Bench` itself."""
+"""Classes of a bench file's tables, by name; [target] is without its poses, and [light] is for `Bench` itself."""
 _WRITTEN = Place(axes=FRAMES[WRITTEN_FRAME])
 DEVICE_FILE = "device.toml"
 """Name of the device file next to the bench, for a headset that is not shipped."""
@@ -55,13 +55,13 @@ def load_bench(path: str | Path) -> Bench:
     """Read a bench file.
 
     Raises:
-        BadInputError: the file or its device does not exist, or it breaks the format; the sentence says where.
+        BadInputError: the file or its device does not exist, or it breaks the format; the message says where.
     """
     return bench_of(read_toml(path), Path(path).parent)
 
 
 def device_from_file(file: Table) -> FloatArray:
-    """Return the rotation (3, 3) from the axes that an opened bench file states to the device frame's."""
+    """Return the rotation (3, 3) from the axes of an opened bench file to those of the device frame."""
     return FRAMES[file.text("frame", choices=sorted(FRAMES))]
 
 
@@ -70,7 +70,7 @@ def bench_of(file: Table, folder: Path) -> Bench:
 
     Args:
         file: the opened file.
-        folder: folder that the path of a device file is relative to.
+        folder: folder to which the path of a device file is relative.
     """
     file.check_head(FORMAT, VERSION)
     file.check_unit("a bench file")
@@ -90,7 +90,7 @@ def bench_of(file: Table, folder: Path) -> Bench:
 
 
 def save_bench(bench: Bench, path: str | Path) -> Path:
-    """Write a bench that `load_bench` reads back, to the rounding of its numbers.
+    """Write a bench that `load_bench` reads back, except for rounding of its numbers.
 
     A device that differs from every shipped one is written next to it as device.toml.
     """
@@ -108,7 +108,7 @@ def save_bench(bench: Bench, path: str | Path) -> Path:
 
 
 def changed_keys(old: Bench, new: Bench) -> dict[str, dict[str, Any]]:
-    """Return the keys of a bench file, by table, that turn the old bench into the new one, in frame `WRITTEN_FRAME`."""
+    """Return the keys of a bench file, by table, that differ in the new bench, in frame `WRITTEN_FRAME`."""
     before, after = _sections(old), _sections(new)
     changed: dict[str, dict[str, Any]] = {}
     for table, keys in after.items():
@@ -142,7 +142,7 @@ def _device_key(device: Device, folder: Path) -> str:
 
 
 def _priors(file: Table) -> dict[str, dict[str, tuple[float, float]]]:
-    """Read the [prior.CAUSE] tables; their names are checked by the module that defines the causes."""
+    """Read the [prior.CAUSE] tables; the module that defines the causes checks the names."""
     if not file.has("prior"):
         return {}
     table = file.table("prior")

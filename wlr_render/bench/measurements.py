@@ -26,7 +26,7 @@ from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TRACED
 
-_MARGIN = 0.02  # share of the range of directions added on each side
+_MARGIN = 0.02  # margin of the camera's picture on each side, as a share of the range of directions
 _LEAST_SPREAD_M = 1e-4  # least spread of points that determine a target's pose
 _DECIMALS = 12
 
@@ -38,9 +38,9 @@ def load_measurements(
 
     Args:
         path: folder of a bench session or of a calibration, or a capture file.
-        bench_file: the bench to compare with. A session keeps its own target poses and the stated noise of its
-            readings (`bench_for_session`); of captures, the target poses may be left out.
-        device: name or file of the headset that captures are compared with (default: the shipped one that they name).
+        bench_file: bench for the comparison. A session keeps its own target poses and the stated noise of its readings
+            (`bench_for_session`); for captures, the file may lack target poses.
+        device: name or file of the headset for a comparison with captures (default: the shipped one named in them).
 
     Raises:
         BadInputError: a file is missing or breaks its format, or bench, device and captures do not fit each other.
@@ -66,7 +66,7 @@ def load_measurements(
                 f"{file}: is of a panel of {stated.width_px} x {stated.height_px} pixels, but {bench.device.name} "
                 f"has {panel.width_px} x {panel.height_px}; name the headset that was measured."
             )
-        name = bench.device.name  # a calibration may have called it otherwise
+        name = bench.device.name  # the captures may name the headset differently
     else:
         bench = load_bench(bench_file)
         if len(bench.target.pitch) == 0:
@@ -100,7 +100,7 @@ def direction_bench(device: Device, captures: Captures, source: str | Path) -> B
     margin = _MARGIN * (high - low) + ARCMIN
     size = np.ceil((high - low + 2.0 * margin) / ARCMIN)
     centre = np.array([margin[0] - low[0], high[1] + margin[1]]) / ARCMIN
-    # Away from the axis of a pinhole an angle covers more pixels: geometric mean of the radial and tangential scale.
+    # Off the axis of a pinhole, an angle covers more pixels: geometric mean of the radial and tangential scale.
     per_arcmin = (1.0 + np.sum(tangents**2, axis=1)) ** 0.75
     sigma_px = max(LEAST_SIGMA_PX, float(np.sqrt(np.mean((sigma_arcmin * per_arcmin) ** 2))))
     camera = EyeballCamera(
@@ -133,7 +133,7 @@ def _named_device(name: str, source: Path) -> Device:
 
 
 def _target(captures: SeeThroughCaptures | None, source: str | Path) -> Target:
-    """Return the target at its observed poses; a pose without captures repeats the one before it."""
+    """Return the target at its observed poses; a pose without captures repeats the previous one."""
     if captures is None:
         return Target(np.zeros((0, 4, 4)), np.zeros(0))
     numbers = np.unique(captures.target_pose)
@@ -150,9 +150,9 @@ def _target(captures: SeeThroughCaptures | None, source: str | Path) -> Target:
 
 
 def _pose(point: FloatArray, on_target: FloatArray) -> FloatArray | None:
-    """Fit the pose (4, 4) of a target to points (n, 3) in the device frame and in its own; None if undetermined.
+    """Fit the pose (4, 4) of a target to points (n, 3) in the device's and target's frames; None if undetermined.
 
-    If the points on the target are unknown, the pose is a least-squares plane, with x to the right.
+    If the points in the target's frame are unknown, the pose is a least-squares plane, with x to the right.
     """
     centre = point.mean(axis=0)
     _, spread, axes = np.linalg.svd(point - centre, full_matrices=False)
@@ -170,6 +170,6 @@ def _pose(point: FloatArray, on_target: FloatArray) -> FloatArray | None:
 
 
 def _pitch(point: FloatArray) -> float:
-    """Return the distance of neighbouring points."""
+    """Return the median distance of neighbouring points."""
     places = np.unique(np.round(point, 6), axis=0)
     return float(np.median(scipy.spatial.KDTree(places).query(places, k=2)[0][:, 1]))

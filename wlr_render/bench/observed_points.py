@@ -1,4 +1,4 @@
-"""Real points observed from known viewpoints through the optics: directions of view, solved from a neighbour's."""
+"""Real points observed from known viewpoints through the optics, with view directions solved from a neighbour's."""
 
 from dataclasses import dataclass
 
@@ -13,18 +13,18 @@ from wlr_render.optics.traced_mappings import TracedSeeThrough
 from wlr_render.optics.tracer import trace
 
 _TANGENT_STEP = 1e-5  # step of the finite differences, tangents
-_TOLERANCE = 1e-10  # radians as seen from the camera: a millionth of a camera pixel
+_TOLERANCE = 1e-10  # convergence in tangents, about a millionth of a camera pixel
 _ITERATIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class ObservedPoints:
-    """Real points and the viewpoints they are observed from.
+    """Real points and the viewpoints from which they are observed.
 
     Attributes:
         optics: the optics in front of the eye.
-        wavelength_um: micrometres.
-        viewpoint, point: (n, 3) device frame.
+        wavelength_um: wavelength, micrometres.
+        viewpoint, point: (n, 3) viewpoints and points, device frame.
     """
 
     optics: EyeOptics
@@ -36,11 +36,11 @@ class ObservedPoints:
         """Solve for the tangents (n, 2) of points from a cold start; NaN for points that are not seen."""
         mapping = TracedSeeThrough(self.optics, self.wavelength_um)
         found = mapping.view_dir_of_real_point(self.point[rows], self.viewpoint[rows])
-        assert found.warm_start is not None  # it holds the tangents that were solved for
+        assert found.warm_start is not None  # the warm start holds the solved tangents
         return np.where((found.status == Status.OK)[:, None], found.warm_start, np.nan)
 
     def miss(self, tangents: FloatArray, rows: NDArray[np.int64] | slice = slice(None)) -> FloatArray:
-        """Return the lateral miss of the world rays at the points' depth, over the distance, (n, 2)."""
+        """Return the lateral miss (n, 2) of the world rays at the points' depth, divided by the distance in depth."""
         viewpoint, point = self.viewpoint[rows], self.point[rows]
         traced = trace(self.optics.see_through, viewpoint, dir_of_tangents(tangents), self.wavelength_um)
         lost = (traced.status != Status.OK) & (traced.status != Status.CLIPPED)
@@ -50,7 +50,7 @@ class ObservedPoints:
             return np.asarray(np.where(lost[:, None], np.nan, across / (viewpoint[:, 2] - point[:, 2])[:, None]))
 
     def tangents_from_miss(self, tangents: FloatArray) -> FloatArray:
-        """Return the inverse Jacobian (n, 2, 2) of the miss by the tangents; NaN where it is singular."""
+        """Return the inverse Jacobian (n, 2, 2) of the miss with respect to the tangents; NaN where singular."""
         here = self.miss(tangents)
         columns = [(self.miss(tangents + shift) - here) / _TANGENT_STEP for shift in _TANGENT_STEP * np.eye(2)]
         (a, c), (b, d) = columns[0].T, columns[1].T
@@ -59,13 +59,13 @@ class ObservedPoints:
         return np.asarray(np.moveaxis(inverse, -1, 0))
 
     def newton_step(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
-        """Take one Newton step (n, 2) from the tangents of a neighbouring bench: exact to first order."""
+        """Return the tangents (n, 2) after one Newton step from a neighbouring bench's, exact to first order."""
         return np.asarray(tangents - np.einsum("nij,nj->ni", tangents_from_miss, self.miss(tangents)))
 
     def solved_from(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
-        """Take Newton steps until the tangents (n, 2) converge; rows that do not are solved from a cold start.
+        """Take Newton steps until the tangents (n, 2) converge; rows that fail to are solved from a cold start.
 
-        A point that the neighbour sees and that has moved past the edge of an aperture keeps its tangents.
+        A point that the neighbouring bench sees and that has moved past the edge of an aperture keeps its tangents.
         """
         tangents = tangents.copy()
         led = np.isfinite(tangents).all(axis=1) & np.isfinite(tangents_from_miss).all(axis=(1, 2))
