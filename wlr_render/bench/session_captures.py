@@ -1,7 +1,7 @@
-"""Convert the readings of a bench session to observations of an eye, assuming its nominal bench, and back.
+"""Conversion of a bench session's readings to observations of an eye and back, based on the nominal bench.
 
-The camera, stage, target, tracking and readout of a bench turn camera pixels into viewpoints, directions and real
-points of the device frame. Only the headset's optics are not used: calibration estimates them.
+The camera, stage, target, tracking and readout of the bench convert camera pixels to viewpoints, directions and real
+points in the device frame. The headset's optics are not used, because calibration estimates them.
 """
 
 from dataclasses import replace
@@ -40,19 +40,19 @@ from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _GREEN = 1
-_DECIMALS = 12  # decimals of metres and rotations: rows of one photograph then have exactly one setup
+_DECIMALS = 12  # decimals of metres and rotations, so that rows of one photograph have exactly one setup
 _FLAT_M = 1e-9
-_SAME_SIGMA = 1e-6  # relative; smaller differences are rounding
+_SAME_SIGMA = 1e-6  # largest relative difference of equal sigmas, due to rounding
 LEAST_SIGMA_PX = 1e-3
-"""Sigma of a reading of exact captures, camera pixels."""
-_OFF_TARGET_M = 0.05  # distance from the target's plane; no target is curved by more
+"""Least sigma of a reading, used for exact captures, camera pixels."""
+_OFF_TARGET_M = 0.05  # largest distance of dots from the target's plane; no target is curved by more
 
 
 def captures_of(bench: Bench, session: Session) -> Captures:
-    """Return the captures of a session's panel in all colours, and of its targets; the device's optics are not used.
+    """Return the captures of a session's panel in all colours and of its targets, without use of the device's optics.
 
     Raises:
-        BadInputError: it has neither, or a dot lies behind the camera of this bench.
+        BadInputError: the session has neither, or a dot lies behind the camera of this bench.
     """
     plan, readings = session.plan, session.readings
     display = see_through = None
@@ -65,7 +65,7 @@ def captures_of(bench: Bench, session: Session) -> Captures:
 
 
 def display_captures(bench: Bench, plan: DisplayPlan, panel_pixel: FloatArray) -> DisplayCaptures:
-    """Return the display captures of one colour channel, green if there are several: calibration fits one wavelength.
+    """Return the display captures of one colour channel, green if present, because calibration fits one wavelength.
 
     Args:
         bench: bench with the assumed camera, stage, mount and readout.
@@ -90,7 +90,7 @@ def _display(bench: Bench, rows: DisplayPlan, panel_pixel: FloatArray) -> Displa
 
 
 def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArray) -> SeeThroughCaptures:
-    """Return the see-through captures of all target poses; photographs are numbered on from pose to pose.
+    """Return the see-through captures of all target poses, with photographs numbered consecutively through all poses.
 
     Args:
         bench: bench with the assumed camera, stage, mount, target and tracking.
@@ -114,10 +114,10 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
 
 
 def session_of(bench: Bench, captures: Captures, name: str) -> Session:
-    """Return the session that these captures were taken in: the inverse of `captures_of`, for any bench.
+    """Return the session of these captures, the inverse of `captures_of`, for any bench.
 
-    The defaults for values that were not recorded are time 0, a move towards +x, green light, and the camera rotation
-    of the bench.
+    Defaults for values that were not recorded are time 0, a move towards +x, green light, and the camera rotation of
+    the bench.
 
     Args:
         bench: bench with the poses of all targets.
@@ -125,7 +125,7 @@ def session_of(bench: Bench, captures: Captures, name: str) -> Session:
         name: name of the session.
 
     Raises:
-        BadInputError: the captures are of another eye, or the bench's camera or targets cannot have been observed.
+        BadInputError: the captures are of another eye, or impossible with the bench's camera or targets.
     """
     source, display, see_through = captures.source, captures.display, captures.see_through
     if (source.device, source.eye) != (bench.device.name, bench.eye):
@@ -175,7 +175,7 @@ def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> 
 def _camera_readings(
     bench: Bench, plan: StagePlan, captures: FeatureCaptures, name: str
 ) -> tuple[dict[str, Any], FloatArray]:
-    """Return `stage`, `orientation` and `sigma_px` of a plan, and the camera pixels (n, 2), of captures.
+    """Return `stage`, `orientation` and `sigma_px` of a plan and the camera pixels (n, 2), from captures.
 
     Args:
         bench: the assumed bench.
@@ -198,7 +198,7 @@ def _camera_readings(
 
 
 def _common(bench: Bench, rows: StagePlan, pixel: FloatArray) -> dict[str, Any]:
-    """Return columns that captures of the panel and of targets have in common, given the camera pixels (n, 2)."""
+    """Return the columns common to captures of the panel and of targets, given the camera pixels (n, 2)."""
     sigma_px = bench.camera.point_sigma_px if rows.sigma_px is None else rows.sigma_px
     return {
         "device": bench.device.name,
@@ -214,17 +214,17 @@ def _common(bench: Bench, rows: StagePlan, pixel: FloatArray) -> dict[str, Any]:
 
 
 def _moments(captures: FeatureCaptures) -> tuple[FloatArray, FloatArray]:
-    """Return the times (n,) and directions of the last move (n,)."""
+    """Return the times (n,) and the directions (n,) of the last move, with defaults where not recorded."""
     return np.nan_to_num(captures.time_s), np.where(np.isfinite(captures.travel), captures.travel, 1.0)
 
 
 def _numbers(captures: FeatureCaptures) -> IntArray:
-    """Return the numbers (n,) of the photographs: by camera position, unless the visits were recorded."""
+    """Return the numbers (n,) of the photographs: the visits if recorded, else the camera positions."""
     return captures.visit if captures.has_visits else captures.capture
 
 
 def _numbered_on(rows: SeeThroughPlan) -> IntArray:
-    """Return the numbers (n,) of the photographs, from 0 for every pose of the target, as a session has them."""
+    """Return consecutive numbers (n,) of a session's photographs, which count from 0 for every pose of the target."""
     pairs = np.stack([rows.target_pose, rows.capture], axis=1)
     return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1), dtype=np.int64)
 
@@ -238,6 +238,6 @@ def _sigmas(camera: EyeballCamera, captures: FeatureCaptures, pixel: FloatArray)
 
 
 def _arcmin_per_px(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
-    """Return the angle (n,) of a camera pixel at pixels (n, 2): geometric mean of the radial and tangential angle."""
+    """Return the angle (n,) of camera pixels (n, 2), the geometric mean of radial and tangential angle."""
     square = np.sum(camera.tangents_of_pixel(pixel) ** 2, axis=1)
     return np.asarray((1.0 + square) ** -0.75 / np.sqrt(np.prod(camera.focal_px)) / ARCMIN)

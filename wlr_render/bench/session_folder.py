@@ -32,27 +32,27 @@ from wlr_render.numerics.arrays import FloatArray
 FEWEST_CAPTURES = 6
 _SUFFIXES = (".csv", ".csv.gz")
 _TABLES = {"display": "display", "dot_pixel": "seethrough", "run_time_pixel": "runtime"}
-_REACH_M = 0.5  # largest range of stage and eye: beyond it, lengths are in another unit
+_REACH_M = 0.5  # largest range of stage and eye; beyond it, lengths are in another unit
 _NEAREST_M = 0.03  # least distance of a target from the camera
 _MOST_PITCHES = 1000  # most pitches in a row of a target
-_MANY = 10  # rows that cannot all show the same point
+_MANY = 10  # fewest rows that cannot all show the same point
 _FACTOR, _LEAST_OFFSET_M = 100, 5e-3
 _LEAST_TRAVEL_M = 0.5e-3
-_SAME_PITCH = 1e-4  # relative; smaller differences mean the same target
+_SAME_PITCH = 1e-4  # largest relative difference of pitches of the same target
 
 
 def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tuple[Bench, Session]:
-    """Read a session, named after its folder, and the nominal bench, as bench.toml describes it.
+    """Read a session, named after its folder, and the nominal bench that bench.toml describes.
 
     Args:
         folder: folder with bench.toml and the tables.
-        bench_file: bench of the same headset, to replace the folder's bench; see `bench_for_session`.
+        bench_file: bench of the same headset that replaces the folder's bench; see `bench_for_session`.
 
     Returns:
-        The bench as its makers describe it, and the session measured on it: device frame, metres and radians.
+        The nominal bench, and the session measured on it: device frame, metres and radians.
 
     Raises:
-        BadInputError: a file is missing or breaks the format, or the tables contradict the bench; the sentence says
+        BadInputError: a file is missing or breaks the format, or the tables contradict the bench; the message says
             where and what to do.
     """
     folder = Path(folder)
@@ -80,9 +80,9 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
 def bench_for_session(bench: Bench, nominal: Bench, path: str | Path, folder: str | Path) -> Bench:
     """Return another bench model with the target poses and the noise of a session.
 
-    All corrections come from the bench, the target's (scale, bow, tracking) included. Bows that differ from pose to
-    pose are matched by the pitch of the dots, which identifies the target. If the session has no target poses, the
-    bench keeps its own.
+    All corrections come from the other bench, including the target's (scale, bow, tracking). Bows that differ from pose
+    to pose are matched by the pitch of the dots, which identifies the target. If the session has no target poses, the
+    other bench keeps its own.
 
     Args:
         bench: the other bench.
@@ -91,7 +91,7 @@ def bench_for_session(bench: Bench, nominal: Bench, path: str | Path, folder: st
         folder: folder of the session, for messages.
 
     Raises:
-        BadInputError: the benches are of different headsets or eyes, or the bow of a target is not known.
+        BadInputError: the benches are of different headsets or eyes, or the bow of a target is unknown.
     """
     if (bench.device.name, bench.eye) != (nominal.device.name, nominal.eye):
         raise BadInputError(
@@ -127,7 +127,7 @@ def _bow_of(corrected: Target, nominal: Target, path: str | Path, folder: str | 
 
 
 def remove_session(folder: str | Path) -> None:
-    """Remove the files of a session, and nothing else, from a folder."""
+    """Remove only the files of a session from a folder."""
     folder = Path(folder)
     tables = [path for schema in SCHEMAS for path in _tables(folder, schema)]
     for path in (folder / "bench.toml", folder / DEVICE_FILE, *tables):
@@ -138,7 +138,7 @@ def save_session(folder: str | Path, bench: Bench, session: Session) -> Path:
     """Write a session that `load_session` reads back, to 15 digits. Rows with a NaN reading are left out.
 
     Raises:
-        BadInputError: the folder holds a table that is not this session's, and would be read with it.
+        BadInputError: the folder holds a table of another session, which would be read as part of this one.
     """
     folder = Path(folder)
     present = [schema for schema in SCHEMAS if getattr(session.plan, schema.plan) is not None]
@@ -159,10 +159,10 @@ def save_session(folder: str | Path, bench: Bench, session: Session) -> Path:
 
 
 def check_enough_captures(session: Session) -> None:
-    """Refuse a session that has too few captures to hold any out.
+    """Refuse a session with too few captures to leave any out for validation.
 
     Raises:
-        BadInputError: there are fewer than `FEWEST_CAPTURES` of them, all tables together.
+        BadInputError: all tables together have fewer than `FEWEST_CAPTURES` captures.
     """
     count = 0
     for schema in SCHEMAS:
@@ -190,7 +190,7 @@ def _table_path(folder: Path, schema: Schema) -> Path | None:
 
 
 def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], readings: dict[str, FloatArray]) -> None:
-    """Refuse readings that are impossible on the bench, such as lengths in metres, and poses that it lacks."""
+    """Refuse readings that are impossible on the bench, such as lengths in metres, and poses missing from the bench."""
     camera = bench.camera
     require_plausible_view(f"{folder}: [camera] of the bench", camera.size_px, camera.focal_px, camera.centre_px)
     for name, plan in plans.items():
@@ -242,7 +242,7 @@ def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], read
 
 
 def _check_targets(folder: Path, bench: Bench, plan: SeeThroughPlan) -> None:
-    """Refuse targets behind the camera, and a pitch in another unit than the dots."""
+    """Refuse targets behind the camera, and pitches in another unit than the dots."""
     for number, (pose, pitch) in enumerate(zip(bench.target.device_from_target, bench.target.pitch, strict=True)):
         place = f"{folder}: [[target_pose]] number {number + 1} of the bench"
         if bench.stage.origin[2] - pose[2, 3] < _NEAREST_M:
@@ -260,14 +260,14 @@ def _check_targets(folder: Path, bench: Bench, plan: SeeThroughPlan) -> None:
 
 
 def _require_spread(folder: Path, what: str, values: FloatArray) -> None:
-    """Refuse positions (n, 2) that are all equal: a column that was never filled in."""
+    """Refuse positions (n, 2) that are all equal, from columns that were never filled in."""
     finite = values[np.isfinite(values).all(axis=1)]
     if len(finite) >= _MANY and np.ptp(finite, axis=0).max() == 0.0:
         raise BadInputError(f"{folder}: {what} are the same in all {len(finite)} rows; record where each point is.")
 
 
 def _require_one_unit(folder: Path, table: str, stage: FloatArray, origin: FloatArray) -> None:
-    """Refuse an axis of a stage (n, 3) whose readings differ from its origin (3,) by a factor, as metres do."""
+    """Refuse stage readings (n, 3) in another unit than the origin (3,), such as metres, along any axis."""
     reading, stated = np.abs(stage), np.abs(origin)
     small = (reading.max(axis=0) < stated / _FACTOR) & (stated > _LEAST_OFFSET_M)
     large = (stated > 0) & (stated < reading.min(axis=0) / _FACTOR) & (reading.min(axis=0) > _LEAST_OFFSET_M)

@@ -1,4 +1,4 @@
-"""Simulate run-time readings: camera pixels of a real dot and of the virtual dot drawn over it."""
+"""Simulate run-time readings: camera pixels of a real dot and of the virtual dot drawn over the real one."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ _STRAIGHT_AHEAD = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Dots of a recording as they are drawn and seen: arrays with one row for each of its rows.
+    """Dots of a recording as drawn and as seen, with one row for each row of the plan.
 
     Attributes:
         pixel: (n, 4) camera pixels of the virtual and the real dot.
         drawn_at: (n, 2) panel pixels of the virtual dots.
-        starts: solutions for the directions of the dot as drawn, of the virtual dot and of the real dot, see
+        starts: solutions for the directions of the dot as drawn, of the virtual dot and of the real dot; see
             `mappings.QueryResult.warm_start`.
     """
 
@@ -35,15 +35,15 @@ class _Seen:
 
 @dataclass(frozen=True, eq=False)
 class RunTimeViews:
-    """Dots of a recording as they are drawn and seen on a bench; the warm start for neighbouring benches.
+    """Dots of a recording as drawn and as seen on a bench, with the warm start for neighbouring benches.
 
     The frame is drawn for the head pose and the tracked viewpoint of its row's time, with exact models of the headset.
-    It appears later, by the clock's latency and the scan-out of its panel row, when the head has moved on, and is seen
+    It appears later, by the clock's latency and the scan-out of the panel row, when the head has moved on, and is seen
     from the true pupil.
 
     Attributes:
         bench: the bench.
-        plan: its readings at run time.
+        plan: setup of the run-time readings.
         near: views on a neighbouring bench with the same plan, from which the solve starts.
     """
 
@@ -62,7 +62,7 @@ class RunTimeViews:
         return self._seen.drawn_at
 
     def of_rows(self, plan: RunTimePlan, rows: BoolArray) -> "RunTimeViews":
-        """Return the views of some rows (n,), which are all rows of `plan`."""
+        """Return the views of some rows (n,); `plan` consists of these rows."""
         some, seen = RunTimeViews(self.bench, plan), self._seen
         starts = tuple(None if start is None else start[rows] for start in seen.starts)
         some.__dict__["_seen"] = _Seen(seen.pixel[rows], seen.drawn_at[rows], starts)
@@ -72,7 +72,7 @@ class RunTimeViews:
     def _seen(self) -> _Seen:
         bench, plan = self.bench, self.plan
         starts = (None, None, None) if self.near is None else self.near._seen.starts
-        # Otherwise a chain of neighbours would stay in memory.
+        # Release the neighbour; otherwise a chain of neighbours would stay in memory.
         object.__setattr__(self, "near", None)
         display = TracedDisplay(bench.optics, bench.target_wavelength_um)
         see_through = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
@@ -107,9 +107,9 @@ _DELAYS, _SHIFTS, _TURNS, _PUPILS = (
 
 
 def places_by_plan(plan: RunTimePlan, pixel: FloatArray) -> dict[tuple[str, str], FloatArray]:
-    """Return the coordinates of each kind of effect except the camera's, (n, v), for dots drawn at pixels (n, 2).
+    """Return the coordinates (n, v) of each kind of effect, except the camera's, for dots drawn at pixels (n, 2).
 
-    Gravity and the rate of the head are in device axes.
+    Gravity and the angular rate of the head are in device axes.
     """
     device_from_world = inverse(plan.world_from_device)[:, :3, :3]
     gravity = -device_from_world[:, :, 1]
@@ -130,7 +130,7 @@ def places_by_plan(plan: RunTimePlan, pixel: FloatArray) -> dict[tuple[str, str]
 def _displaced(
     bench: Bench, places: Mapping[tuple[str, str], FloatArray], kinds: Sequence[tuple[str, str]]
 ) -> FloatArray:
-    """Return the sum of the effects of some kinds at their places, (n, components) seconds, pixels or radians."""
+    """Return the sum (n, components) of the effects of some kinds at their coordinates, in s, px, m or rad."""
     rows, components = len(next(iter(places.values()))), len(RUN_TIME_KINDS[kinds[0]].per_displacement)
     total = np.zeros((rows, components))
     for kind in kinds:
@@ -140,7 +140,7 @@ def _displaced(
 
 
 def _dot_in_device(plan: RunTimePlan, later_s: FloatArray) -> FloatArray:
-    """Return dots (n, 3) in the device frame, each `later_s` (n,) after its row's time, at constant head velocity."""
+    """Return the dots (n, 3) in the device frame `later_s` (n,) after their rows' times, at constant head velocity."""
     turn = rotations_of_vectors(plan.head_rate * later_s[:, None])
     world_from_device = turn @ plan.world_from_device[:, :3, :3]
     position = plan.world_from_device[:, :3, 3] + plan.head_velocity * later_s[:, None]

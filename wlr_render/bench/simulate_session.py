@@ -18,19 +18,19 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.combiner_form import places_on_combiner
 from wlr_render.optics.traced_mappings import TracedDisplay
 
-_ROUNDS = 6  # fixed-point iterations for a reading whose error depends on the reading itself
+_ROUNDS = 6  # fixed-point iterations for a stage reading, on which its own error depends
 
-_QUIET = np.errstate(invalid="ignore", over="ignore", divide="ignore")  # invisible points are NaN on purpose
+_QUIET = np.errstate(invalid="ignore", over="ignore", divide="ignore")  # invisible points are intentionally NaN
 
 
 @dataclass(frozen=True, eq=False)
 class DotViews:
-    """View directions of all target dots on a bench; the warm start for neighbouring benches.
+    """View directions of all target dots on a bench, with the warm start for neighbouring benches.
 
     Attributes:
         bench: the bench.
-        plan: its see-through readings.
-        near: views on a neighbouring bench with the same plan; they speed up the solve and do not change its result,
+        plan: setup of the see-through readings.
+        near: views on a neighbouring bench with the same plan. They speed up the solve without changing its result,
             except that a dot that has moved past the edge of an aperture is still seen.
     """
 
@@ -40,20 +40,20 @@ class DotViews:
 
     @cached_property
     def tangents(self) -> FloatArray:
-        """(n, 2), device frame; NaN where a dot is not seen."""
+        """Tangents (n, 2) of the view directions, device frame; NaN where a dot is not seen."""
         scene, near = _observed_points(self.bench, self.plan), self.near
         tangents = scene.solved() if near is None else scene.solved_from(near.tangents, near.tangents_from_miss)
-        # Otherwise a chain of neighbours would stay in memory.
+        # Release the neighbour; otherwise a chain of neighbours would stay in memory.
         object.__setattr__(self, "near", None)
         return tangents
 
     @cached_property
     def tangents_from_miss(self) -> FloatArray:
-        """(n, 2, 2) inverse Jacobian of the solve."""
+        """Inverse Jacobian (n, 2, 2) of the solve."""
         return _observed_points(self.bench, self.plan).tangents_from_miss(self.tangents)
 
     def of_rows(self, plan: SeeThroughPlan, rows: BoolArray) -> "DotViews":
-        """Return the views of some rows (n,), which are all rows of `plan`."""
+        """Return the views of some rows (n,); `plan` consists of these rows."""
         some = DotViews(self.bench, plan)
         some.__dict__["tangents"] = self.tangents[rows]
         return some
@@ -61,14 +61,14 @@ class DotViews:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """Views of the dots of a session on a bench, part by part; None for parts that it lacks."""
+    """Views of a session's dots on a bench; None for a missing part of the session."""
 
     dots: DotViews | None = None
     run_time: RunTimeViews | None = None
 
     @classmethod
     def of(cls, bench: Bench, plan: SessionPlan, near: "Views | None" = None) -> "Views":
-        """Return the views on a bench, for neighbouring benches to start from; they may start from others."""
+        """Return the views on a bench, which may start from those on a neighbouring bench, `near`."""
         near = near or Views()
         return cls(
             near.dots if plan.see_through is None else DotViews(bench, plan.see_through, near.dots),
@@ -83,7 +83,7 @@ def simulate(bench: Bench, plan: SessionPlan, views: Views | None = None) -> Rea
     Args:
         bench: the bench.
         plan: setup of each row.
-        views: views of the dots of all its parts on this bench, if they were begun.
+        views: views of all dots of the plan on this bench, if they exist already.
 
     Returns:
         The readings; NaN where the panel or a dot cannot be seen.
@@ -96,7 +96,7 @@ def simulate(bench: Bench, plan: SessionPlan, views: Views | None = None) -> Rea
 
 @_QUIET
 def simulate_to_first_order(bench: Bench, plan: SessionPlan, near: Views) -> Readings:
-    """Predict every reading to first order in the change from a neighbouring bench, given the views on that one."""
+    """Predict every reading to first order in the change from a neighbouring bench, given its views."""
     dots = None
     if plan.see_through is not None and near.dots is not None:
         points = _observed_points(bench, plan.see_through)
@@ -120,7 +120,7 @@ def _observed_points(bench: Bench, plan: SeeThroughPlan) -> ObservedPoints:
 
 
 def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
-    """Return the decoded panel position (n, 2) for each display row: one trace."""
+    """Return the decoded panel position (n, 2) of each display row, by one ray trace."""
     viewpoint, view_dir = camera_positions(bench, plan), display_dirs(bench, plan)
     turned = _view_shift(bench, viewpoint, view_dir, DISPLAY)
     if turned is not None:
@@ -130,14 +130,14 @@ def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
         rows = plan.channel == channel
         display = TracedDisplay(optics, bench.wavelengths_um[channel])
         emitted, status = display.plane_pixel(view_dir[rows], viewpoint[rows])
-        # A ray past the edge of an aperture is kept: the position of the edge is not measured.
+        # A ray past the edge of an aperture is kept, because the position of the edge is not measured.
         lost = (status != Status.OK) & (status != Status.CLIPPED)
         pixel[rows] = np.where(lost[:, None], np.nan, emitted)
     return decoded(bench, plan, pixel)
 
 
 def decoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
-    """Return the decoded positions (n, 2) of light that leaves the cold panel at pixels (n, 2)."""
+    """Return the decoded positions (n, 2) of light emitted at pixels (n, 2) of the cold panel."""
     centre, scale, origin = _readout(bench, plan)
     shown = centre + scale * (pixel - _creep_px(bench, plan) - centre) + origin
     shift = _total(_panel_shift(bench, plan)(shown), _drift(bench, plan))
@@ -162,7 +162,7 @@ def _drift(bench: Bench, plan: DisplayPlan) -> FloatArray | None:
 
 
 def _total(*displacements: FloatArray | None) -> FloatArray | None:
-    """Return the sum of displacements, of which any may be None; None if all are."""
+    """Return the sum of the displacements that are not None; None if all are None."""
     present = [each for each in displacements if each is not None]
     return np.sum(present, axis=0) if present else None
 
@@ -176,7 +176,7 @@ def undecoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
 
 
 def _readout(bench: Bench, plan: DisplayPlan) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the panel's centre (2,), and for each row the magnification about it (n, 1) and the shift (n, 2)."""
+    """Return the panel's centre (2,), and the magnification about the centre (n, 1) and shift (n, 2) of each row."""
     readout = bench.readout
     shift = readout.origin_px + readout.channel_shift_px[plan.channel]
     return 0.5 * bench.optics.panel.pixels.size_px, readout.channel_scale[plan.channel][:, None], shift
@@ -190,7 +190,7 @@ def _creep_px(bench: Bench, plan: DisplayPlan) -> FloatArray:
 
 
 def dot_pixels(bench: Bench, plan: SeeThroughPlan, tangents: FloatArray) -> FloatArray:
-    """Return the camera pixel (n, 2) of each dot that is seen in the direction of its tangents (n, 2), device frame."""
+    """Return the camera pixels (n, 2) of dots in directions of tangents (n, 2), device frame."""
     viewpoint, _, device_from_camera = dot_geometry(bench, plan)
     turned = _view_shift(bench, viewpoint, dir_of_tangents(tangents), SEE_THROUGH)
     tangents = tangents if turned is None else tangents + turned
@@ -212,7 +212,7 @@ def _view_shift(bench: Bench, viewpoint: FloatArray, view_dir: FloatArray, part:
 
 
 def imaged(bench: Bench, plan: StagePlan, pixel: FloatArray) -> FloatArray:
-    """Return the pixels (n, 2) at which the camera has points whose perfect pixels are (n, 2), one for each row."""
+    """Return the pixels (n, 2), one for each row, where a camera with effects images the ideal pixels (n, 2)."""
     shift = _image_shift(bench, plan)(pixel)
     return pixel if shift is None else np.asarray(pixel + shift)
 
@@ -234,7 +234,7 @@ def _image_shift(bench: Bench, plan: StagePlan) -> Callable[[FloatArray], FloatA
 
 
 def part_of(plan: StagePlan) -> str:
-    """Return the name of the part of a session that a plan is of."""
+    """Return the name of the session's part to which a plan belongs."""
     return DISPLAY if isinstance(plan, DisplayPlan) else SEE_THROUGH
 
 
@@ -256,7 +256,7 @@ def camera_positions(bench: Bench, plan: StagePlan) -> FloatArray:
 
 
 def stage_readings(bench: Bench, plan: StagePlan, position: FloatArray) -> FloatArray:
-    """Return the inverse of `camera_positions`: readings (n, 3) at camera positions (n, 3)."""
+    """Return the stage readings (n, 3) at camera positions (n, 3), the inverse of `camera_positions`."""
     origin, axes = bench.stage.origin, np.linalg.inv(bench.stage.axes).T
     reading = position
     for _ in range(_ROUNDS if bench.effects else 1):
@@ -276,7 +276,7 @@ def _displacements(bench: Bench, plan: StagePlan) -> FloatArray:
 
 
 def _pose_error(bench: Bench, plan: StagePlan) -> FloatArray | None:
-    """Return shifts (metres) and turns (radians) of the camera, (n, 6), by effects of the stage and of time."""
+    """Return the shift (metres) and rotation (radians) of the camera, (n, 6), by effects of stage and time."""
     displaced, with_travel = partial(displacement, bench.effects, part=part_of(plan)), plan.travel[:, None]
     return _total(
         displaced("stage", "pose", plan.stage),
@@ -294,7 +294,7 @@ def camera_orientations(bench: Bench, plan: StagePlan) -> FloatArray:
 
 
 def mounted(bench: Bench, plan: StagePlan) -> FloatArray:
-    """Return the rotations (n, 3, 3) of the camera on its mount: without slips and orientations of the plan."""
+    """Return the rotations (n, 3, 3) of the camera on its mount, without slips and orientations of the plan."""
     error = _pose_error(bench, plan)
     if error is None:
         return np.broadcast_to(bench.camera.device_from_camera, (len(plan), 3, 3))
@@ -302,7 +302,7 @@ def mounted(bench: Bench, plan: StagePlan) -> FloatArray:
 
 
 def slips(bench: Bench, time_s: FloatArray) -> FloatArray:
-    """Return the rotations (n, 3, 3) of the camera in the device frame by the slip; the identity before it."""
+    """Return the rotations (n, 3, 3) of the camera by the slip, device frame; the identity before the slip."""
     slipped = (time_s >= bench.mount.slip_time_s)[:, None, None]
     return np.asarray(np.where(slipped, rotations_of_vectors(bench.mount.slip_rotation), np.eye(3)))
 
@@ -317,9 +317,9 @@ def display_dirs(bench: Bench, plan: DisplayPlan) -> FloatArray:
 
 
 def printed_places(bench: Bench, plan: SeeThroughPlan, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return positions (n, 2) on the printed target and heights (n,) above it, of points (n, 3) in the device frame.
+    """Return the positions (n, 2) on the printed target, and heights (n,) above it, of points (n, 3), device frame.
 
-    This is the inverse of the dots of `dot_geometry`.
+    This inverts the positions of dots in `dot_geometry`.
     """
     target = bench.target
     target_from_device = inverse(bench.tracking.true_from_reported @ target.device_from_target)[plan.target_pose]
@@ -334,7 +334,7 @@ def printed_places(bench: Bench, plan: SeeThroughPlan, point: FloatArray) -> tup
 
 
 def _print_shift(bench: Bench, plan: SeeThroughPlan, dot: FloatArray) -> FloatArray | None:
-    """Return displacements (n, 3) of dots printed at (n, 2), metres in the target's axes."""
+    """Return the displacements (n, 3) of dots printed at (n, 2), metres, target's axes; None without effects."""
     pitches = dot / bench.target.pitch[plan.target_pose][:, None]
     return displacement(bench.effects, "target", "shift", pitches, target_pose=plan.target_pose)
 
