@@ -74,7 +74,7 @@ RECORDS = [
         PLACE.folder, "a.png", 3, stage=np.zeros(3), time_s=5.0, temperature_c=20.0, regions=np.arange(4.0)[None]
     ),
     GivenPose(POSE, (0.01, 0.001), board_file="b.toml"),
-    PhotographFormat(12, saturation=4000.0, mosaic="rggb", interpolate=False),
+    PhotographFormat(12, saturation=4000.0, mosaic="rggb", synthetic=True),
     BoardTolerances(),
     CharucoBoard(8, 6, 0.0254, 0.01905, "DICT_4X4_1000", legacy=True, margin_m=0.01),
     AprilGrid(6, 5, 0.04, 0.25, border_bits=1, first_id=4, first_at_bottom=False),

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wlr_render.calibration.photograph_captures import display_outliers, dot_inliers, see_through_outliers
+from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_see_through import fit_see_through
+from wlr_render.calibration.photograph_captures import dot_inliers, outliers
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
@@ -38,8 +40,8 @@ def photographs(see_through: SeeThroughCaptures) -> IntArray:
 
 def test_sound_captures_are_left_alone(captures: tuple[DisplayCaptures, SeeThroughCaptures]) -> None:
     display, see_through = captures
-    assert display_outliers(display) == {}
-    assert see_through_outliers(see_through, photographs(see_through)) == {}
+    assert outliers(display, display.capture, fit_display) == {}
+    assert outliers(see_through, photographs(see_through), fit_see_through) == {}
 
 
 def test_exchanged_sets_of_the_panel_are_both_named(captures: tuple[DisplayCaptures, SeeThroughCaptures]) -> None:
@@ -47,7 +49,7 @@ def test_exchanged_sets_of_the_panel_are_both_named(captures: tuple[DisplayCaptu
     first, second = display.capture == 3, display.capture == 9
     viewpoint = display.viewpoint.copy()
     viewpoint[first], viewpoint[second] = display.viewpoint[second][0], display.viewpoint[first][0]
-    assert set(display_outliers(replace(display, viewpoint=viewpoint))) == {3, 9}
+    assert set(outliers(replace(display, viewpoint=viewpoint), display.capture, fit_display)) == {3, 9}
 
 
 def test_a_photograph_from_elsewhere_is_named_with_its_size(
@@ -56,7 +58,7 @@ def test_a_photograph_from_elsewhere_is_named_with_its_size(
     _, see_through = captures
     number = photographs(see_through)
     # 2 mm to the right are 17' at 0.4 m, where the first target stands.
-    found = see_through_outliers(moved_by(see_through, number == 7, [0.002, 0.0, 0.0]), number)
+    found = outliers(moved_by(see_through, number == 7, [0.002, 0.0, 0.0]), number, fit_see_through)
     assert found == {7: pytest.approx(17, rel=0.3)}
 
 
@@ -64,14 +66,15 @@ def test_a_photograph_from_elsewhere_is_named_with_its_size(
 def test_few_places_raise_no_false_alarm(captures: tuple[DisplayCaptures, SeeThroughCaptures], places: int) -> None:
     """A model with hardly more places than terms predicts the outermost of them badly."""
     display, _ = captures
-    assert display_outliers(select(display, display.capture < places)) == {}
+    few = select(display, display.capture < places)
+    assert outliers(few, few.capture, fit_display) == {}
 
 
 def test_where_all_disagree_few_or_none_are_named(captures: tuple[DisplayCaptures, SeeThroughCaptures]) -> None:
     display, _ = captures
     rng = np.random.default_rng(2)
     shift = rng.normal(0, 0.005, (25, 3))[display.capture]
-    assert len(display_outliers(moved_by(display, slice(None), shift))) <= 5
+    assert len(outliers(moved_by(display, slice(None), shift), display.capture, fit_display)) <= 5
 
 
 def four_photographs() -> SeeThroughCaptures:

@@ -95,7 +95,7 @@ def test_a_black_level_is_taken_off_before_gamma() -> None:
     np.testing.assert_allclose(kind.convert(stored, "a") / 65535, [[0, 0, 0.25, 0.99]], atol=0.003)
 
 
-def test_planes_of_a_mosaic(tmp_path: Path) -> None:
+def test_colours_of_a_mosaic(tmp_path: Path) -> None:
     colours = {"r": 40, "g": 120, "b": 200}
     for mosaic in ("rggb", "bggr", "grbg", "gbrg"):
         cell = np.array([colours[letter] for letter in mosaic], np.uint8).reshape(2, 2)
@@ -105,10 +105,6 @@ def test_planes_of_a_mosaic(tmp_path: Path) -> None:
             whole = read_photograph(tmp_path / "a.npy", PhotographFormat(8, mosaic=mosaic, channel=channel))
             assert whole.shape == (20, 24)
             assert (whole[2:-2, 2:-2] == value).all()
-            half = PhotographFormat(8, mosaic=mosaic, channel=channel, interpolate=False)
-            plane = read_photograph(tmp_path / "a.npy", half)
-            assert plane.shape == (10, 12)
-            assert (plane == value).all()
     raw[10, 10] = 255
     assert np.count_nonzero(PhotographFormat(8, mosaic="gbrg").convert(raw, "a") == 255) == 9
 
@@ -150,7 +146,6 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         ({"bits": 8, "gamma": 2.2, "linearisation": "a.txt"}, "either 'gamma' or"),
         ({"bits": 8, "linearisation": "a.txt"}, "a.txt: there is no such file"),
         ({"bits": 8, "linearisation": "../a.txt"}, "'linearisation': '../a.txt' leads out of the folder"),
-        ({"bits": 8, "interpolate": False}, "'interpolate' is for raw files"),
     ],
 )
 def test_keys_that_cannot_be_right(tmp_path: Path, keys: dict[str, Any], sentence: str) -> None:

@@ -173,17 +173,16 @@ def test_a_radial_residual_is_outwards_everywhere(explained: Diagnosis) -> None:
     np.testing.assert_allclose(found.means[1], 0.0, atol=1e-12)
 
 
-def test_curves_show_what_averages_out_and_nothing_where_there_is_noise_alone(explained: Diagnosis) -> None:
+def test_curves_leave_the_band_where_there_is_more_than_noise(explained: Diagnosis) -> None:
     part = part_views(explained)[0]
     part = replace(part, motion=0.0 * part.motion)
     rng, sigma = np.random.default_rng(4), part.sigma_arcmin
     noise = rng.normal(0, sigma, part.place.shape)
-    # Half of the readings to the right, half to the left: no mean, but an rms.
-    sides = np.where(rng.random(len(noise)) < 0.5, 1.0, -1.0)[:, None] * [3 * sigma, 0.0]
-    for residual, low, high in ((noise, 0.0, 0.5), (noise + sides, 1.9, 2.2)):
-        found = plots.binned(part.variables[0], residual, part)
-        assert np.median(found.excess / sigma) == pytest.approx(0.5 * (low + high), abs=0.5 * (high - low))
-        assert np.abs(found.means[1]).max() < 4 * sigma / np.sqrt(len(noise) / len(found.middle))
+    for offset in (0.0, 1.0):
+        found = plots.binned(part.variables[0], noise + [offset * sigma, 0.0], part)
+        errors = sigma / np.sqrt(len(noise) / len(found.middle))
+        np.testing.assert_allclose(found.band, 2 * errors, rtol=0.3)
+        np.testing.assert_allclose(found.means, [[offset * sigma], [0.0]] * np.ones(len(found.middle)), atol=4 * errors)
 
 
 def test_the_histogram_shows_noise_that_sigma_does_not_cover(explained: Diagnosis) -> None:

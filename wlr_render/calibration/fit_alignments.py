@@ -18,6 +18,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from wlr_render.calibration.posterior_spread import principal_root
 from wlr_render.captures.alignments_file import Alignments
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
@@ -270,9 +271,7 @@ def _eye(found: Alignments, orders: IntArray, box: Box, posterior: _Posterior, e
     Errors of both come from the same alignments: their variables are shared. One more is the image's distance.
     """
     k = len(orders)
-    size = np.sqrt(np.diag(posterior.covariance))
-    values, vectors = np.linalg.eigh(posterior.covariance / np.outer(size, size))
-    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    root = principal_root(posterior.covariance)
     rank = root.shape[1] + 1
     point = np.zeros((k, 3))
     point[:, :2] = posterior.mean[: 2 * k].reshape(2, k).T

@@ -85,7 +85,8 @@ def sound_captures(
         colour = np.array([each.channel or "" for each, _ in sets])[display.capture]
         moved: dict[int, float] = {}
         for name in np.unique(colour):
-            moved |= display_outliers(select(display, colour == name))
+            own = select(display, colour == name)
+            moved |= outliers(own, own.capture, fit_display)
         excluded = [_exclusion(session.name_of(sets[group][0].folder), off) for group, off in moved.items()]
         display = select(display, ~np.isin(display.capture, [*moved]))
     if see_through is None:
@@ -95,7 +96,7 @@ def sound_captures(
     else:
         see_through = within_field(see_through, display)
     see_through = select(see_through, dot_inliers(see_through, see_through.visit))
-    gone = see_through_outliers(see_through, see_through.visit)
+    gone = outliers(see_through, see_through.visit, fit_see_through)
     excluded += [_exclusion(through[group][0].name, off) for group, off in gone.items()]
     see_through = select(see_through, ~np.isin(see_through.visit, [*gone]))
     return Captures(display, see_through), tuple(excluded)
@@ -267,23 +268,18 @@ def _rows(
     return rows, sound
 
 
-def display_outliers(captures: DisplayCaptures) -> dict[int, float]:
-    """Return captures of the panel that contradict the others, with their mean error in arcminutes, by number.
-
-    None where there are too few to judge.
-    """
-    return _outliers(captures, captures.capture, fit_display)
-
-
-def see_through_outliers(captures: SeeThroughCaptures, photograph: IntArray) -> dict[int, float]:
-    """Return likewise photographs of the target; (n,) `photograph` numbers each row's."""
-    return _outliers(captures, photograph, fit_see_through)
-
-
-def _outliers(
+def outliers(
     captures: AnyCaptures, group: IntArray, fit: Callable[[AnyCaptures, str, int | None], ModelFit[AnyModel]]
 ) -> dict[int, float]:
-    """Return the captures that a fit finds far from where they are said to be, if their error is one that matters."""
+    """Return the photographs that contradict the others, with their mean error in arcminutes, by number.
+
+    None where there are too few to judge.
+
+    Args:
+        captures: captures of the panel in one colour, or of the targets.
+        group: (n,) number of each row's photograph.
+        fit: `fit_display` or `fit_see_through`.
+    """
     names = np.unique(group)
     rows = np.concatenate(
         [own[:: max(1, len(own) // _ROWS)] for own in (np.flatnonzero(group == name) for name in names)]

@@ -32,7 +32,7 @@ def spread_of(
     sample, weight = basis(inputs, orders, box), readings.metric[rows]
     if readings.mixed:
         design = np.einsum("nrb,nt->nrbt", readings.multiplier[rows] * weight[:, None, None], sample)
-        root = _root(found.side_covariance)
+        root = principal_root(found.side_covariance)
         joint = root @ principal(design.reshape(2 * len(rows), -1) @ root)
         joint = _with_constant(joint.reshape(blocks, len(orders), -1).transpose(1, 0, 2), orders, beyond)
         apart = np.zeros((len(orders), 0))
@@ -41,7 +41,7 @@ def spread_of(
     else:
         design, own = design_of(readings, rows, sample) * weight[:, None], readings.coefficients
         of_labels = _by_own_labels(readings, found)
-        root = _root(found.alone[:own, :own] - of_labels @ of_labels.T)
+        root = principal_root(found.alone[:own, :own] - of_labels @ of_labels.T)
         apart_root = root @ principal(design @ root)
         own_factors = apart_root.reshape(blocks, len(orders), apart_root.shape[1]).transpose(1, 0, 2)
         own_factors = _with_constant(own_factors, orders, beyond)
@@ -149,7 +149,7 @@ def _with_constant(factors: FloatArray, orders: IntArray, beyond: FloatArray | N
     return np.concatenate([factors, constant * np.diag(np.sqrt(beyond))], axis=2)
 
 
-def _root(covariance: FloatArray) -> FloatArray:
+def principal_root(covariance: FloatArray) -> FloatArray:
     """F with F F' = covariance, whatever the scales of the unknowns."""
     scale = np.sqrt(np.diag(covariance))
     scale = np.where(scale > 0, scale, 1.0)

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from wlr_render.calibration.moved_captures import CaptureMotion, MotionAgreement
-from wlr_render.calibration.posterior_spread import label_response, spread_of
+from wlr_render.calibration.posterior_spread import label_response, principal_root, spread_of
 from wlr_render.calibration.reading_sums import Response, label_values, polynomial_of, response_of, sums_of
 from wlr_render.calibration.readings import FitReadings, Trend, design_of, motion_columns
 from wlr_render.calibration.smooth_prior import (
@@ -341,9 +341,7 @@ class SmoothFit:
         own = self.readings.coefficients
         follow = [each[:, :own].T @ found.side_covariance @ each[:, :own] for each in found.by_side]
         covariance = found.alone[:own, :own] + np.mean(follow, axis=0)
-        size = np.sqrt(np.diag(covariance))
-        values, vectors = np.linalg.eigh(covariance / size[:, None] / size)
-        return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+        return principal_root(covariance)
 
     def whitened(self, readings: FitReadings, place: IntArray, places: int) -> list[FloatArray]:
         """Designs (n, columns) of an output in combinations of readings whose noise is 1 and independent.

@@ -45,8 +45,6 @@ class PhotographFormat:
         gamma: the stored value is proportional to light ** (1 / gamma).
         channel: channel of coloured files and mosaics: "grey", "red", "green" or "blue".
         mosaic: colours of the top-left 2 x 2 pixels of raw files, e.g. "rggb"; empty without a mosaic.
-        interpolate: True to interpolate the channel of a mosaic at all pixels. Otherwise the picture has half the width
-            and height: red and blue are one pixel of each 2 x 2, green is the mean of two.
         linearisation: pairs (stored value, light), in increasing order; instead of `gamma`.
         linearisation_file: path of that table as session.toml names it.
         synthetic: True for pictures that no camera took, without saturation.
@@ -59,7 +57,6 @@ class PhotographFormat:
     gamma: Annotated[float, Key(least=0.2, most=5)] = 1.0
     channel: Annotated[str, Key(choices=CHANNELS)] = "grey"
     mosaic: Annotated[str, Key(choices=("", *MOSAICS))] = ""
-    interpolate: bool = True
     linearisation: Annotated[tuple[tuple[float, float], ...], ELSEWHERE] = ()
     linearisation_file: Annotated[str, Key("linearisation")] = ""
     synthetic: bool = False
@@ -74,8 +71,6 @@ class PhotographFormat:
             )
         if self.linearisation_file and self.gamma != 1.0:
             raise BadInputError("give either 'gamma' or 'linearisation'.")
-        if not self.interpolate and not self.mosaic:
-            raise BadInputError("'interpolate' is for raw files with a 'mosaic'; remove it, or state the mosaic.")
 
     @property
     def full_scale(self) -> int:
@@ -125,7 +120,7 @@ class PhotographFormat:
             name: name of the file, for messages.
 
         Returns:
-            (h, w) uint8 or uint16; half as high and wide if a mosaic is not interpolated.
+            (h, w) uint8 or uint16.
 
         Raises:
             BadInputError: the values do not fit the bits or the mosaic.
@@ -180,29 +175,16 @@ class PhotographFormat:
 
     def _of_mosaic(self, values: StoredValues, end: float) -> tuple[StoredValues, NDArray[np.bool_]]:
         over = values >= end
-        if self.interpolate:
-            colours = cv2.cvtColor(self._linear(values), MOSAICS[self.mosaic])
-            # Interpolation spreads a saturated pixel to its neighbours.
-            spread = cv2.dilate(over.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-            return self._of_colours(colours), spread
-        height, width = (size // 2 * 2 for size in values.shape)
-        linear = self._linear(values)
-        planes = [
-            (colour, linear[row:height:2, column:width:2], over[row:height:2, column:width:2])
-            for colour, (row, column) in zip(self.mosaic, ((0, 0), (0, 1), (1, 0), (1, 1)), strict=True)
-        ]
-        chosen = [plane for plane in planes if self.channel in ("grey", _COLOUR_NAMES[plane[0]])]
-        mean = np.mean([plane for _, plane, _ in chosen], axis=0)
-        return np.asarray(np.rint(mean), dtype=linear.dtype), np.asarray(np.any([mask for *_, mask in chosen], axis=0))
+        colours = cv2.cvtColor(self._linear(values), MOSAICS[self.mosaic])
+        # Interpolation spreads a saturated pixel to its neighbours.
+        spread = cv2.dilate(over.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+        return self._of_colours(colours), spread
 
     def _of_colours(self, linear: StoredValues) -> StoredValues:
         """Return the channel (h, w) of linear red, green and blue (h, w, 3)."""
         if self.channel != "grey":
             return np.ascontiguousarray(linear[..., CHANNELS.index(self.channel) - 1])
         return np.asarray(np.rint(linear @ _LUMA), dtype=linear.dtype)
-
-
-_COLOUR_NAMES = {name[0]: name for name in CHANNELS[1:]}
 
 
 def is_left_justified(stored: StoredValues, bits: int) -> bool:

@@ -123,8 +123,7 @@ def residual_curves(part: PartView) -> Plot:
     caption = (
         "Mean residual in bins of each variable: right (solid) and down (dotted) in the camera's image; where so "
         "marked, outwards (solid) and around (dotted). Band: two standard errors of a mean by the noise and the "
-        "stage's repeatability. Click on 'rms beyond the band' in the legend to show the rms that noise and "
-        "repeatability do not give: a pattern that cancels in the mean."
+        "stage's repeatability."
     )
     return Plot(f"Residual against each variable: {part.name}", data, layout, caption, 120 + 230 * rows)
 
@@ -141,9 +140,6 @@ def _curves(part: PartView, variable: Variable, in_legend: bool) -> list[dict[st
             line = {"line": {"color": colour, "dash": dash}, "marker": {"size": 4}, "legendgroup": bench}
             shown = in_legend and dash == "solid"
             data.append(_scatter(curve.middle, mean, "lines+markers", **line, name=bench, showlegend=shown))
-        hidden = {"line": {"color": _GREY}, "visible": "legendonly", "showlegend": in_legend}
-        name = f"{bench}: rms beyond the band"
-        data.append(_scatter(curve.middle, curve.excess, "lines", **hidden, name=name, legendgroup=name))
     return data
 
 
@@ -159,17 +155,15 @@ class BinnedResidual:
         middle: (k,) mean of the variable in each bin.
         means: (2, k) mean of both components of the residual.
         band: (k,) limit of a mean that noise and the usual motion of captures can explain.
-        excess: (k,) rms of the readings beyond noise and motion.
     """
 
     middle: FloatArray
     means: FloatArray
     band: FloatArray
-    excess: FloatArray
 
 
 def binned(variable: Variable, residual: FloatArray, part: PartView) -> BinnedResidual:
-    """Return mean and excess of a part's residual (n, 2), in arcminutes, in bins of a variable."""
+    """Return the means of a part's residual (n, 2), in arcminutes, in bins of a variable."""
     good = np.isfinite(residual).all(axis=1)
     both = np.concatenate([residual[good][:, :, None], part.motion[good]], axis=2)
     if variable.outwards is not None:
@@ -181,14 +175,10 @@ def binned(variable: Variable, residual: FloatArray, part: PartView) -> BinnedRe
     bin_of, together = capture[0][0], capture[1].ravel()
     sums = [np.bincount(together, each, len(bin_of)) for each in motion.reshape(len(motion), -1).T]
     of_mean = np.bincount(bin_of, np.sum(np.square(sums), axis=0) / 2.0, len(counts)) / counts**2
-    of_reading = part.sigma_arcmin**2 + np.bincount(index, np.sum(motion**2, axis=(1, 2)) / 2.0) / counts
-    square = np.bincount(index, np.mean(along**2, axis=1)) / counts
     return BinnedResidual(
         middle=np.bincount(index, variable.values[good]) / counts,
         means=np.stack([np.bincount(index, component) / counts for component in along.T]),
         band=_BAND * np.sqrt(part.sigma_arcmin**2 / counts + of_mean),
-        # The mean square of n readings of two components scatters by sigma^2 / sqrt(n).
-        excess=np.sqrt(np.clip(square - of_reading * (1.0 + _BAND / np.sqrt(counts)), 0.0, None)),
     )
 
 

@@ -146,7 +146,7 @@ def diagnosis_report(
     blocks += [Section("Captures"), _captures(diagnosis), tables.excluded_table(diagnosis)]
     blocks += [tables.captures_table(diagnosis), Section("Evidence")]
     blocks += [tables.in_use_table(in_use)] if in_use else []
-    blocks += [tables.parameters_table(diagnosis), tables.ranking_table(diagnosis), tables.degenerate_table(diagnosis)]
+    blocks += [tables.parameters_table(diagnosis), tables.ranking_table(diagnosis)]
     blocks += [plots.correlations_plot(diagnosis)] if len(diagnosis.correlations.names) > 1 else []
     blocks += [tables.fields_table(diagnosis), Text("Why the search ended:", diagnosis.reasons)]
     blocks += [Section("Noise"), tables.repeatability_table(diagnosis), tables.noise_table(diagnosis)]

@@ -26,7 +26,7 @@ _RANKED = 6  # number of candidates shown for each place
 
 
 class OfCause(NamedTuple):
-    """A table row: one parameter, candidate or degenerate cause of a cause."""
+    """A table row: one parameter or candidate of a cause."""
 
     cause: FoundCause
     each: Any
@@ -141,26 +141,6 @@ def parameters_table(diagnosis: DiagnosisRecord) -> ReportTable:
             "variant": "cause.variant",
         },
         (note, AXES_NOTE),
-    )
-
-
-def degenerate_table(diagnosis: DiagnosisRecord) -> ReportTable:
-    """Return the causes that could be confused with each other."""
-    note = (
-        "Share of the evidence gained by the cause that the other cause would gain in its place, to first order; 100 % "
-        "if both have the same effect. Condition of the "
-        f"correlations between all values found: {diagnosis.correlations.condition:.2g} (1: no values are correlated)."
-    )
-    return table(
-        "Degenerate causes",
-        [OfCause(cause, other) for cause in diagnosis.causes for other in cause.degenerate],
-        {
-            "cause": "cause.name",
-            "nearly the same effect": "each.name",
-            "share of its gain (%)": lambda row: Number(100.0 * row.each.share_of_gain, ".1f"),
-            "measurement that separates them": "each.separated_by",
-        },
-        (note,),
     )
 
 

@@ -23,6 +23,7 @@ from wlr_render.calibration.validation import (
 from wlr_render.captures.feature_captures import columns_of
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder, write_text
+from wlr_render.io.input_files import LIMITS, read_bytes
 from wlr_render.io.kept import Kept, recipe_of, sha256_of, signatures_of
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions, FitOptions
 from wlr_render.report.blocks import Block, Columns, Report, ReportTable, Section, table
@@ -160,11 +161,10 @@ def validated(
     missing = set(finished.unfinished(files.values()))
     waiting = [each for each in tasks if files[each.name] in missing]
     for name, outcome in progress(as_finished(_refitted, waiting, options.worker_pool, own), len(waiting), "refits"):
-        facts = {"refused": True} if outcome is None else asdict(outcome)
-        write_text(files[name], json.dumps(facts) + "\n")
-        finished.add(signatures_of([files[name]]), facts)
+        write_text(files[name], json.dumps({"refused": True} if outcome is None else asdict(outcome)) + "\n")
+        finished.add(signatures_of([files[name]]))
     finished.remove_replaced()
-    known = [dict(finished.facts(path)) for path in files.values()]
+    known = [json.loads(read_bytes(path, LIMITS.record_bytes)) for path in files.values()]
     outcomes = [Outcome(**each) for each in known if "refused" not in each]
     return Validation(tuple(ratios(fit, outcomes)), len(known) - len(outcomes))
 
