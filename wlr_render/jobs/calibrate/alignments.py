@@ -20,9 +20,9 @@ from wlr_render.report.blocks import Cell, Report, ReportTable, decimals
 from wlr_render.work.progress import SILENT
 
 _DEPTHS_M = (0.4, 1.0, 3.0)
-_CELLS = (9, 8)  # pixels over the panel
-_FEW = 20  # alignments from which more help less than a steadier hand
-_RATIO = 1.5  # farthest over nearest point below which the place of the eye stays unknown
+_CELLS = (9, 8)  # grid of pixels over the panel
+_FEW = 20  # number of alignments beyond which more help less than a steadier hand
+_RATIO = 1.5  # ratio of the farthest to the nearest point below which the place of the eye stays unknown
 
 
 def calibrate_alignments(options: CalibrateOptions, *, progress: ProgressArgument = SILENT) -> Report:
@@ -97,7 +97,7 @@ def _table(found: Alignments, fit: AlignmentFit) -> ReportTable:
 
 
 def _numbers(fit: AlignmentFit) -> str:
-    """Return the numbers of the alignments that the others contradict; empty if there are none."""
+    """List the numbers of the alignments that the others contradict; empty if there are none."""
     return ", ".join(map(str, fit.doubtful))
 
 

@@ -20,7 +20,7 @@ def calibrate(options: CalibrateOptions, *, progress: ProgressArgument = SILENT)
     """
     subject = options.subject
     options.require_for(subject)
-    # Each way needs other modules, and --help none of them.
+    # Each kind of input needs different modules, and --help needs none of them.
     if subject is Subject.PHOTOGRAPHS:
         from wlr_render.jobs.calibrate.photos import calibrated, report_of
 

@@ -80,7 +80,7 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
 
 
 def simulate_captures(truth: Eye, options: CalibrateOptions) -> Captures:
-    """Simulate captures of display and see-through of an eye, from the positions that the type of model needs."""
+    """Simulate display and see-through captures of an eye, from the positions that the type of model needs."""
     kind = options.fit.kind
     return simulate(
         truth,
@@ -94,7 +94,7 @@ def simulate_captures(truth: Eye, options: CalibrateOptions) -> Captures:
 
 
 def _of_each(fits: Sequence[Calibration], sentences: Callable[[Calibration], list[str]]) -> list[str]:
-    """Sentences about each fit, which name the eye if there are two."""
+    """Return the sentences about each fit; they name the eye if there are two fits."""
     return [
         f"{fit.mappings.eye.capitalize()} eye: {sentence}" if len(fits) > 1 else sentence
         for fit in fits

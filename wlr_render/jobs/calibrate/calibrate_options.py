@@ -105,10 +105,10 @@ class FitOptions(Options):
         return [] if self.prescription is None else [device_path(self.prescription)]
 
     def prescription_of(self, eye: str) -> EyeOptics | None:
-        """Return the prescription of an eye, if one is named; long jobs read it first.
+        """Return the prescription of an eye, if one is given. Long jobs call this first to fail early.
 
         Raises:
-            BadInputError: it cannot be read, or has no such eye.
+            BadInputError: the prescription cannot be read, or has no such eye.
         """
         if self.prescription is None:
             return None
@@ -220,7 +220,7 @@ class CalibrateOptions(SpreadOptions):
     seed: Annotated[int, described("Seed of all random numbers.", group=_DEVICE), SEEDS] = 1
 
     def fit_of(self, captures: Captures) -> KindComparison:
-        """Fit as `fit` says.
+        """Fit according to the options `fit`.
 
         Raises:
             BadInputError: as `FitOptions.fit`, or `--validate` cannot test the fit.
@@ -255,7 +255,7 @@ class CalibrateOptions(SpreadOptions):
         """Reject options that do not apply to this kind of input.
 
         Raises:
-            BadInputError: an option has no effect on it.
+            BadInputError: an option has no effect on this kind of input.
         """
         if subject is Subject.ALIGNMENTS and (self.fit != DEFAULT_FIT or self.validate):
             raise BadInputError(
@@ -267,7 +267,7 @@ class CalibrateOptions(SpreadOptions):
             groups = [note.group for note in getattr(hints[field.name], "__metadata__", ()) if hasattr(note, "group")]
             applies = next((each for each, group in _GROUPS.items() if any(group in some for some in groups)), subject)
             if self.validate and applies is Subject.PHOTOGRAPHS:
-                continue  # its processes refit as well
+                continue  # --workers also spreads the refits
             if applies is not subject and getattr(self, field.name) != field.default:
                 raise BadInputError(
                     f"{flag_of(type(self), field.name)} is used with {applies} only, and {self.path} is {subject}; "
@@ -276,7 +276,7 @@ class CalibrateOptions(SpreadOptions):
 
 
 def require_readable_models(folder: Path, name: str = MODEL_FILE) -> None:
-    """Refuse a folder whose model file is damaged, before work begins: the other eye's model may be saved from it."""
+    """Refuse a folder with a damaged model file before work begins; the file may contain the other eye's model."""
     path = folder / name
     if path.exists():
         try:
@@ -300,7 +300,7 @@ def save_models(
 
 
 def remove_results(folder: Path, eyes: Sequence[str], keep_captures: bool = False) -> None:
-    """Remove an earlier calibration's files of some eyes, except the models: they do not belong to new models.
+    """Remove the files of an earlier calibration of some eyes, except the models: they do not match the new models.
 
     With `keep_captures`, the files of `RESULTS` stay, because the new models are fitted to these captures.
 

@@ -11,7 +11,7 @@ from wlr_render.report.blocks import Cell, ReportTable
 
 
 def primaries_table(each: EyeCalibration) -> ReportTable:
-    """Predicted errors of the models of the primaries that are not in model.json."""
+    """Tabulate the predicted errors of the models of the primaries that are not in model.json."""
     rows: list[list[Cell]] = [
         [name, fit.display.report.predicted_arcmin, fit.display.report.noise_arcmin, fit.display.report.samples]
         for name, fit in each.primaries.items()
@@ -23,7 +23,7 @@ def primaries_table(each: EyeCalibration) -> ReportTable:
 
 
 def binocular_table(found: SessionCalibration) -> ReportTable:
-    """Differences of the displays of both eyes, and sigmas of the left camera's pose against the right one's."""
+    """Tabulate differences between both eyes' displays, and sigmas of the left camera's pose relative to the right."""
     eyes = [found.eyes[eye] for eye in ("left", "right")]
     entries = [_middle_entry(each, found) for each in eyes]
     sigma = found.bench.relative_sigma(*entries)
@@ -55,7 +55,7 @@ def _middle_entry(each: EyeCalibration, found: SessionCalibration) -> SessionEnt
 
 
 def _apart_arcmin(left: FittedDisplay, right: FittedDisplay) -> tuple[float, float, float]:
-    """Vertical, horizontal and roll of the left display less the right one."""
+    """Return the vertical, horizontal and roll differences of the displays, left minus right, arcminutes."""
     ends = [_middle_and_right(display) for display in (left, right)]
     (x, y), roll = (
         np.arctan(ends[0][0]) - np.arctan(ends[1][0]),
@@ -65,6 +65,6 @@ def _apart_arcmin(left: FittedDisplay, right: FittedDisplay) -> tuple[float, flo
 
 
 def _middle_and_right(display: FittedDisplay) -> FloatArray:
-    """(2, 2) tangents of the panel's middle and of a pixel to the right of it, from the middle of the eye box."""
+    """Return the tangents (2, 2), from the eye box's middle, of the panel's middle and of a pixel to its right."""
     pixel = display.panel.size_px * np.array([[0.5, 0.5], [0.7, 0.5]])
     return tangents_of_dir(display.view_dir_of_pixel(pixel, display.eye_box.centre).value)

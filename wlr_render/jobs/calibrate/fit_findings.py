@@ -24,8 +24,8 @@ WORTH_A_ROW, FEW_POSITIONS = 0.1, 0.3
 MOTIONS_DIFFER = 3.0
 """Standard deviations between fitted motions and the bench's beyond which a report warns."""
 _NEAR_BOUND = 0.9
-_MOST_OF_IT = 0.7  # share of the predicted error from which its source is advised on: half of its square
-_NO_MOTION = 0.05  # um, microradians
+_MOST_OF_IT = 0.7  # share of the predicted error from which the report advises on its source: half of its square
+_NO_MOTION = 0.05  # size of a motion that counts as none, um or microradians
 
 
 _AnyFit = ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
@@ -153,7 +153,7 @@ def _noise_warnings(title: str, report: FitReport, sigma_is_given: bool) -> list
 
 
 def _motion_warnings(title: str, report: FitReport) -> list[str]:
-    """Warn of camera motions at their bounds, or other than the bench states."""
+    """Warn of camera motions at their bounds, or different from the bench's."""
     found = list[str]()
     for value, most, quantity, unit in (
         (report.repeatability_um, 1e6 * LARGEST_SHIFT_M, "repeatability of positions", "um"),
@@ -202,7 +202,7 @@ def fit_advice(fit: Calibration) -> list[str]:
 
 
 def _gain(report: FitReport) -> float:
-    """Part of the predicted error that one more row of positions takes away."""
+    """Return the share of the predicted error that one more row of positions removes."""
     if report.one_more is None or report.predicted_arcmin == 0:
         return 0.0
     return 1.0 - report.one_more.predicted_arcmin / report.predicted_arcmin
@@ -264,19 +264,19 @@ def _share_table(fit: Calibration) -> ReportTable:
 
 
 def _each(fit: Calibration, name: str) -> list[tuple[str, Any]]:
-    """Each item of a list in the reports, with the name of the mapping."""
+    """Return each item of a list in the reports, with the name of the mapping."""
     return [(mapping, item) for mapping, report in _reports(fit) for item in getattr(report, name)]
 
 
 def _sizes(share: ErrorShare) -> str:
-    """Return the size of a source's errors in words: a size that is the usual one may be the one assumed."""
+    """Return the size of a source's errors in words, next to the usual size, which the fit may merely have assumed."""
     if share.size is None or share.usual is None:
         return ""
     return f" ({_size_text(share.size, share.unit)} in the fit, usually {_size_text(share.usual, share.unit)})"
 
 
 def _size_text(value: float | None, unit: str) -> str | None:
-    """Size of an error in words, e.g. "48 um" or "0.12'"."""
+    """Return the size of an error in words, e.g. "48 um" or "0.12'"."""
     if value is None:
         return None
     return f"{_digits(1e6 * value)} um" if unit == "m" else f"{_digits(value)}'"

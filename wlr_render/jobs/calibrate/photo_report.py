@@ -26,7 +26,7 @@ _ACROSS = 6  # small pictures side by side
 
 
 def headline(found: SessionCalibration) -> str:
-    """Summarise the readings, the result, and whether any check failed."""
+    """Summarise the readings, the result and the checks."""
     off = sum(not check.ok for check in found.bench.checks)
     checks = f"{off} check(s) of the bench failed" if off else "every check of the bench passed"
     fits = [fit_sentences(each.kinds) for each in found.eyes.values()]
@@ -48,12 +48,12 @@ def advice(found: SessionCalibration) -> list[str]:
 
 
 def set_names(found: SessionCalibration, eye: EyeCalibration) -> list[str]:
-    """Names of the panel's photographed sets of an eye, by number of the display's capture."""
+    """Return the names of an eye's photographed panel sets, by number of the display's capture."""
     return [found.session.name_of(each.folder) for each, _ in found.reading.panels_of(eye.session.display)]
 
 
 def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
-    """Tables, pictures (written into `folder`) and plots, in the order of the procedure."""
+    """Return tables, pictures (written into `folder`) and plots, in the order of the procedure."""
     blocks: list[Block] = [
         *reading_blocks(found.session, found.reading, found.all_excluded),
         *(_coverage(folder, each, len(found.session.eyes) > 1) for each in found.eyes.values()),
@@ -259,7 +259,7 @@ def _checks_table(found: SessionCalibration) -> ReportTable:
 
 
 def _draw_coverage(path: Path, found: EyeCalibration) -> Path:
-    """Camera positions with the eye box, the panel as it was decoded, and the directions in which targets were seen."""
+    """Draw camera positions with the eye box, decoded panel positions, and the directions of the target features."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13.5, 4.2), layout="constrained")

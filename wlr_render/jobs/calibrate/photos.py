@@ -47,7 +47,7 @@ def calibrated(options: CalibrateOptions, *, progress: ProgressArgument = SILENT
             The readings are kept, and the report says how far the calibration came.
     """
     session = load_photo_session(Path(options.path))
-    for eye in session.eyes:  # a faulty prescription is refused before anything is read
+    for eye in session.eyes:  # refuse a faulty prescription before the photographs are read
         options.fit.prescription_of(eye)
     folder = output_folder(options.out)
     _remove_results(folder, session.eyes)
@@ -71,7 +71,7 @@ def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
 
 
 def _save_refusal(refused: RefusedCalibrationError, session: PhotoSession, options: CalibrateOptions) -> None:
-    """Write the report of a calibration that was refused: how far it came, and every exclusion."""
+    """Write the report of a refused calibration: its progress, and every exclusion."""
     folder, found, reading = output_folder(options.out), refused.found, refused.reading
     report = Report(
         f"Calibration of {session.device}, {' and '.join(session.eyes)} eye: refused",

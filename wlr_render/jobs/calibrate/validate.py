@@ -41,7 +41,8 @@ class Validation:
     """Outcome of the refits of one eye.
 
     Attributes:
-        ratios: errors found over errors stated. refused: number of refits that could not be made.
+        ratios: ratios of found to stated errors.
+        refused: number of refits that failed.
     """
 
     ratios: tuple[Ratio, ...]
@@ -83,7 +84,7 @@ class Validation:
 
     @property
     def table(self) -> ReportTable:
-        """Stated against found errors of each side by each method."""
+        """Table of stated and found errors of each mapping by each method."""
         columns: Columns = {
             "refits": "method",
             "number": "refits",
@@ -109,7 +110,7 @@ class Validation:
 
     @property
     def record(self) -> list[dict[str, Any]]:
-        """The ratios as JSON has them."""
+        """The ratios as JSON."""
         return [asdict(each) | {"found_arcmin": each.found_arcmin} for each in self.ratios]
 
 
@@ -140,15 +141,15 @@ def _listed(found: Sequence[Ratio]) -> str:
 def validated(
     comparison: KindComparison, options: CalibrateOptions, folder: Path, progress: Progress
 ) -> Validation | None:
-    """Refit as `--validate` asks, and write each outcome into a subfolder of `folder` as soon as it is known.
+    """Refit for `--validate`, and write each outcome into a subfolder of `folder` as soon as it is known.
 
-    A run that was interrupted continues with the refits that are missing.
+    A rerun after an interruption continues with the missing refits.
 
     Returns:
         None without `--validate`.
 
     Raises:
-        BadInputError: too few camera positions, or files that cannot be written.
+        BadInputError: there are too few camera positions, or files cannot be written.
     """
     if not options.validate:
         return None
@@ -170,13 +171,13 @@ def validated(
 
 
 def _as_chosen(options: FitOptions, comparison: KindComparison) -> FitOptions:
-    """Return the options that fit only the kind of model that was chosen."""
-    kind: Any = comparison.best  # a kind of `FitOptions`
+    """Return the options for fitting only the chosen kind of model."""
+    kind: Any = comparison.best  # a `kind` of `FitOptions`
     return replace(options, kind=kind, prescription=options.prescription if kind in KINDS_BY_PRESCRIPTION else None)
 
 
 def _hash(fit: Calibration) -> str:
-    """Return the hash of all that was fitted."""
+    """Return the hash of all fitted data."""
     parts = [side.captures for side in fit.sides.values()]
     columns = [getattr(part, name).tobytes() for part in parts for name in columns_of(type(part))]
     known = [repr((part.motion, part.common)).encode() for part in parts]
@@ -194,7 +195,7 @@ class _Task:
 
 
 def _refitted(task: _Task) -> tuple[str, Outcome | None]:
-    """Fit, and compare; None where the readings do not determine a model."""
+    """Run one refit and return its outcome; None if the readings do not determine a model."""
     try:
         return task.name, task.refit.outcome(task.options.fit(task.refit.captures).chosen)
     except BadInputError:
@@ -202,7 +203,7 @@ def _refitted(task: _Task) -> tuple[str, Outcome | None]:
 
 
 def with_validations(report: Report, found: Mapping[str, Validation | None]) -> Report:
-    """Return the report of a calibration with the validation of each eye, which its verdict begins with."""
+    """Return the report of a calibration with the validation of each eye at the start of its verdict."""
     known = {eye: each for eye, each in found.items() if each is not None}
     if not known:
         return report
