@@ -24,9 +24,9 @@ from wlr_render.report.plots import heat_map, small_heat_maps
 from wlr_render.warp.choose_grid import choose_warp_grid
 from wlr_render.work.progress import SILENT
 
-_ADVISED = 3  # sources that are named as worth improving
+_ADVISED = 3  # number of sources named as worth improving
 _LEAST_SHARE = 0.005  # smallest share of the variance for which an owner is named
-_LEAST_GAIN = 0.02  # smallest gain in radius for which the report advises to halve a source
+_LEAST_GAIN = 0.02  # smallest gain in radius for which the report advises halving a source
 
 
 @job
@@ -34,7 +34,7 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
     """State the error budget of a headset; writes budget.html, .md and .json into `options.out`.
 
     Raises:
-        BadInputError: a model without covariance, without one of its mappings or without that eye, or a folder that
+        BadInputError: a model without covariance, without one of its mappings or without this eye, or a folder that
             cannot be written.
     """
     names = eyes_of(options.eye)
@@ -87,7 +87,7 @@ def source_table(title: str, found: Mapping[str, Mapping[str, Any]], head: str, 
     Args:
         title: title of the table.
         found: by eye or map, a `PredictedError.record`.
-        head: of the column with the names of eyes or maps.
+        head: head of the column with the names of eyes or maps.
         notes: sentences on the errors.
     """
     rows: list[list[Cell]] = []

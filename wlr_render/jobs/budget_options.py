@@ -24,7 +24,7 @@ _DRAWING = option_group("Drawing", 3)
 
 @dataclass(frozen=True)
 class BudgetOptions(Options):
-    """Options of `budget`. Where the default sizes come from: docs/budget.md."""
+    """Options of `budget`; docs/budget.md has the sources of the default sizes."""
 
     headset: Annotated[str, described("A model file, or a device or factory calibration (then without model errors).")]
     _: KW_ONLY
@@ -115,7 +115,7 @@ class BudgetOptions(Options):
                 raise BadInputError(f"{flag} has {count} values; give one for all axes, or x y z.")
 
     def sizes(self, warp_grid_arcmin: float, truncation: Truncation) -> ErrorSizes:
-        """All sizes, in the package's units."""
+        """Return all error sizes in the package's units."""
         speed = 1e-3 * self.eye_speed_mm_s
         return ErrorSizes(
             EyeTracker(
