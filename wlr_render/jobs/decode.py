@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _ACCEPTED, _DARK = "#e4ebdd", "#202020"
-_BLOCK_PX = 4  # camera pixels that one point of the residual picture averages
-_RANGE_PX = 0.75  # panel pixels at the ends of its colour scale
+_BLOCK_PX = 4  # side of a block, in camera pixels, that one point of the residual picture averages
+_RANGE_PX = 0.75  # residual at the ends of its colour scale, panel pixels
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class DecodeVerbOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class CodePhotographs:
-    """Photographs of one pattern, and how to decode them."""
+    """Photographs of one pattern, with the settings for decoding them."""
 
     folder: Path
     files: CodeFiles
@@ -75,7 +75,7 @@ class CodePhotographs:
 
     @property
     def options(self) -> DecodeOptions:
-        """Limits of the camera."""
+        """Decoding limits that the camera sets."""
         return DecodeOptions(self.kind.full_scale, end_of_scale=self.files.end_of_scale(self.kind))
 
 
@@ -156,7 +156,7 @@ def _rejection_table(decoded: Decoded) -> ReportTable:
 
 
 def _strength_table(strengths: Sequence[BitStrength]) -> ReportTable:
-    """Strength of each bit over the lit pixels, and which are weak."""
+    """Tabulate the strength of each bit over the lit pixels, and mark weak bits."""
     columns: Columns = {
         "bit": "name",
         "median": "median",
@@ -217,7 +217,7 @@ def _draw_rejections(path: Path, decoded: Decoded) -> Path:
 
 
 def rejection_colours() -> NDArray[np.float64]:
-    """Red, green and blue of each `Rejection`, (number of reasons, 3)."""
+    """Return red, green and blue of each `Rejection`, (number of reasons, 3)."""
     from matplotlib import colormaps
     from matplotlib.colors import to_rgb
 

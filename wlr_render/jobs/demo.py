@@ -2,11 +2,10 @@
 
     naive        the panel as a flat picture in space (a linear map), without refraction in the combiner
     static       the best map for one viewpoint, used at all viewpoints
-    raster+warp  planar models, intermediate image from the raster camera, which is not at the viewpoint, per-frame
-                 warp map
+    raster+warp  planar models, intermediate image from a raster camera away from the viewpoint, per-frame warp map
     ray traced   planar models, world rays as primary rays
 
-Without OpenGL raster+warp is left out.
+Without OpenGL, raster+warp is left out.
 
 The models are fitted to a simulated calibration of the device; the device's exact optics are the truth. The error of
 the planar models is also predicted, from their fit and its left-out camera positions, without these optics.
@@ -113,10 +112,10 @@ class DemoOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """One viewpoint: what each method shows on the panel, and the misalignment of each at the judged pixels.
+    """One viewpoint: the panel image of each method, and its misalignment at the judged pixels.
 
-    Misalignment and its predicted rms (of the planar models as `_planar_of` shows them) are (54, 48) arcmin, NaN where
-    a pixel shows nothing of the scene.
+    Misalignment and its predicted rms (of the method that `_planar_of` returns) are (54, 48) arcmin, NaN where a pixel
+    shows nothing of the scene.
     """
 
     viewpoint: FloatArray
@@ -211,7 +210,7 @@ def _verdict(errors: Mapping[str, Summary], what: str) -> str:
 
 
 def judged_viewpoints(truth: Eye, count: int) -> FloatArray:
-    """Return the eye box's centre, then fixed pseudo-random viewpoints, the first of them near a corner: (count, 3)."""
+    """Return viewpoints (count, 3): the eye box's centre, one near a corner, then fixed pseudo-random ones."""
     rng = np.random.default_rng(5)
     unit = np.concatenate([np.zeros((1, 3)), [[0.8, 0.8, -0.8]], rng.uniform(-1, 1, (count - 2, 3))])
     return truth.eye_box.at(unit)
@@ -274,13 +273,13 @@ def _views(truth: Eye, fit: Calibration, painters: dict[str, Painter], places: F
 
 
 def _shown_points(frame: Frame, pixel: FloatArray) -> FloatArray:
-    """World points (..., 3) that pixels (..., 2) show, NaN where none; the head pose makes them device points."""
+    """Return the points (..., 3) that pixels (..., 2) show, NaN for the background: world and device frame coincide."""
     assert frame.position is not None
     return np.asarray(frame.position[pixel[..., 1].astype(int), pixel[..., 0].astype(int)], np.float64)
 
 
 def _misalignments(seen: list[_View]) -> dict[str, FloatArray]:
-    """Misalignments (n, 48) of all viewpoints, by method."""
+    """Return the misalignments (n, 48) of all viewpoints, by method."""
     return {method: np.concatenate([view.misalignment[method] for view in seen]) for method in seen[0].misalignment}
 
 
@@ -310,7 +309,7 @@ def _predictions(seen: list[_View]) -> ReportTable:
 
 
 def _predicted_and_true(seen: list[_View]) -> tuple[float, float]:
-    """Rms over the viewpoints, arcminutes, of the pixels that have both."""
+    """Return the predicted and the true rms misalignment over all pixels that have both, arcminutes."""
     planar = _planar_of(seen[0].misalignment)
     predicted, true = (
         np.stack(each) for each in zip(*((e.predicted, e.misalignment[planar]) for e in seen), strict=True)
@@ -327,7 +326,7 @@ def _distribution(seen: list[_View]) -> Plot:
 
 
 def _save_views(folder: Path, device: str, truth: Eye, renderer: RayRenderer, view: _View) -> list[Path]:
-    """Look through the true optics with each method's picture on the panel; the last file is the picture of all."""
+    """Write each method's panel picture and its view through the true optics; the last file shows all of them."""
 
     def look(camera: Pinhole) -> EyeView:
         return eye_view(truth, renderer, view.viewpoint, HEAD_POSE, camera)
@@ -351,7 +350,7 @@ def _save_views(folder: Path, device: str, truth: Eye, renderer: RayRenderer, vi
 
 
 def _save_page(folder: Path, device: str, fit: Calibration) -> list[Path]:
-    """Write the page that moves, of the planar models."""
+    """Write the animated page of the planar models."""
     sizes = ErrorSizes(truncation=Truncation.from_report(fit.model().report))
     predictors = (partial(predicted_error, fit.mappings, sizes),)
     view = view_from_centre((fit.mappings,), Origin(device, {}, {}), is_turned=True, predictors=predictors)
@@ -359,7 +358,7 @@ def _save_page(folder: Path, device: str, fit: Calibration) -> list[Path]:
 
 
 def _content_tangents(truth: Eye, scene: Scene, viewpoint: FloatArray) -> FloatArray:
-    """Tangents of what there is to see: where panel and scene overlap, with a margin."""
+    """Return the tangent limits of the content: the overlap of panel and scene, with a margin."""
     panel = truth.display.panel
     edge = truth.display.view_dir_of_pixel(panel.grid(9, 9).reshape(-1, 2), viewpoint)
     field = directions.tangents_of_dir(edge.value[edge.usable])

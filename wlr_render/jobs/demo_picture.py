@@ -60,7 +60,7 @@ def close_up_camera(overview: Pinhole, centre: FloatArray) -> Pinhole:
 
 
 def busiest_place(camera: Pinhole, picture: NDArray[np.uint8]) -> FloatArray:
-    """Tangents (2,) of the window of close-up size with the most edges: where misalignment is seen best."""
+    """Return the tangents (2,) of the close-up window with the most edges, where misalignment is most visible."""
     import cv2
 
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
@@ -102,7 +102,7 @@ def save_picture(path: Path, panoramas: Sequence[Panorama], window: tuple[Pinhol
 
 
 def _window_px(overview: Pinhole, close_up: Pinhole) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Corner and extent of the close-up in the overview, matplotlib's integer pixel centres."""
+    """Return the corner and the size of the close-up in the overview, with matplotlib's integer pixel centres."""
     left, bottom = overview.pixel_of_tangents(close_up.tangent_min) - 0.5
     right, top = overview.pixel_of_tangents(close_up.tangent_max) - 0.5
     return (float(left), float(top)), (float(right - left), float(bottom - top))

@@ -145,7 +145,7 @@ SIGNATURE = "signature"
 
 
 def _signature(options: DiagnoseOptions, name: str, nominal: Bench, session: Session) -> Report:
-    """Return what one cause would do to the readings."""
+    """Return the report of one cause's effect on the readings."""
     causes = causes_for(nominal, options.add_causes)
     if name not in causes:
         raise BadInputError(f"--show-cause: {unknown_cause(name, causes)}")
@@ -154,7 +154,7 @@ def _signature(options: DiagnoseOptions, name: str, nominal: Bench, session: Ses
 
 
 def _check_enough_readings(session: Session) -> None:
-    """Reject a session in which a small motion of the camera could explain every capture.
+    """Reject a session with so few points that a small camera motion could explain every capture.
 
     Raises:
         BadInputError: the session has no run-time recording, and all captures have fewer than `_FEWEST_READINGS`

@@ -1,4 +1,4 @@
-"""Write the warp maps of a headset as files that other programs read, and a page that explains them."""
+"""Write the warp maps of a headset as files for other programs, and a page that explains them."""
 
 import itertools
 import math
@@ -103,7 +103,7 @@ def _solved(
 ) -> Iterator[ExportedView]:
     """Yield the views to write; append kind, stem and share of the panel pixels without a source of each map to `lost`.
 
-    The page needs the maps of each eye's first view. The other views are copies, whose maps are freed with the copy.
+    The page needs the maps of each eye's first view. The other views are copies; their maps are freed with the copy.
     """
     for planned in shown:
         view = planned if planned is first_of_eye[planned.eye] else replace(planned)
@@ -117,7 +117,7 @@ def _solved(
 
 
 def _lost_pixels(lost: Sequence[tuple[str, str, float]]) -> list[str]:
-    """Return a sentence per kind of lost pixels: about its only map, or the number of maps and the worst."""
+    """Return a sentence per kind of lost pixels, on its only map, or on the number of maps and the worst one."""
     found = []
     for kind in (_NO_RAY, _OUTSIDE):
         shares = [(share, stem) for of, stem, share in lost if of == kind]
@@ -134,7 +134,7 @@ def _open_channels(options: ExportOptions) -> dict[str, EyeChannels]:
 
 
 def _headset_files(options: ExportOptions) -> dict[str, Path]:
-    """Return the headset's files by their names in the facts; three models of the colours have three names."""
+    """Return the headset's files by their names in the facts; models of three colours have three names."""
     middle = headset_path(options.headset)
     if options.red_model is None or options.blue_model is None:
         return {middle.name: middle}
@@ -145,7 +145,7 @@ def _headset_files(options: ExportOptions) -> dict[str, Path]:
 def _planned(
     options: ExportOptions, channels: dict[str, EyeChannels], track: EyeTrajectory | None, inputs: Mapping[str, str]
 ) -> tuple[list[ExportedView], list[str]]:
-    """All views, and warnings about the trajectory."""
+    """Return all views, and warnings about the trajectory."""
     views: list[ExportedView] = []
     greens = {eye: middle_channel(each) for eye, each in channels.items()}
     motion = Motion(None, track, options.frames_per_second, options.frame_limit)
@@ -184,7 +184,7 @@ def views_from_centres(
 
 
 def _wavelengths(options: ExportOptions, channels: dict[str, EyeChannels]) -> dict[str, float]:
-    """Wavelength in nanometres of each map of a device; empty for fitted models and factory calibrations."""
+    """Return the wavelength in nanometres of each map of a device; empty for fitted models and factory calibrations."""
     if is_model(options.headset) or is_factory(options.headset):
         return {}
     if options.has_colours:
@@ -227,7 +227,7 @@ def _other_light(options: ExportOptions, eye: str) -> dict[str, Eye]:
 
 
 def _still_pupils(options: ExportOptions, mappings: Eye) -> Iterator[tuple[str, FloatArray]]:
-    """Stem of the files and viewpoint of each pupil that does not move."""
+    """Yield the file stem and the viewpoint of each pupil that does not move."""
     box, eye = mappings.eye_box, mappings.eye
     chosen = options.viewpoint_m(eye)
     if chosen is not None:

@@ -142,7 +142,7 @@ class ExportOptions(Options):
         return self.fps or _FRAMES_PER_SECOND
 
     def viewpoint_m(self, eye: str) -> FloatArray | None:
-        """(3,) the chosen pupil position of an eye, in metres; None if none is chosen."""
+        """Return the chosen pupil position (3,) of an eye, in metres; None if none is chosen."""
         if self.viewpoint_mm is None:
             return None
         return 1e-3 * np.array(self.viewpoint_mm[-_POSITION:] if eye == "right" else self.viewpoint_mm[:_POSITION])

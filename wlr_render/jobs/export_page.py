@@ -1,4 +1,4 @@
-"""Page of an export, with everything that a reader of its files must know."""
+"""Page of an export, with everything that a user of its files must know."""
 
 from pathlib import Path
 
