@@ -1,8 +1,8 @@
 """Drawing of frames and writing of their files, in the process of the job or in its workers.
 
 `FrameDrawing.frames` draws in both cases. In the process of the job, threads write the files of a frame while the next
-frames are drawn. Each worker opens the headset, the scene and OpenGL, and keeps them for its next frames of this or
-another job that draws the same from elsewhere.
+frames are drawn. Each worker opens the headset, the scene and OpenGL, and keeps them for its next frames, also of other
+jobs with the same files.
 """
 
 import contextlib
@@ -85,7 +85,7 @@ class OpenedFiles:
             return cls(channels, _open_truths(options, channels), load_scene(options.scene), inputs)
 
     def of_options(self, options: RenderOptions) -> dict[str, str]:
-        """Hashes of the files that options name, by option."""
+        """Return the hashes of the files that options name, by option."""
         return {name: self.inputs[str(path)] for name, path in named_files(options).items()}
 
     def sources(self, options: RenderOptions) -> dict[str, str]:
@@ -157,17 +157,17 @@ def open_raster(options: RenderOptions, scene: Scene) -> SceneRaster | None:
     return raster
 
 
-_ERROR, _VIEW = "-error.tiff", ".json"  # endings of the names of a frame's files
+_ERROR, _VIEW = "-error.tiff", ".json"  # name endings of a frame's files
 
 
 def map_files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
-    """Warp maps of a frame; none unless they are asked for."""
+    """Return the warp map files of a frame; none unless `--maps` is given."""
     colours = [f"-{colour}" for colour in COLOURS] if options.has_colours else [""]
     return [planned.file(folder, f"{colour}.{options.maps}") for colour in colours if options.maps]
 
 
 def files_of(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
-    """All files of a frame, the panel image last."""
+    """Return all files of a frame, the panel image last."""
     is_written = {
         _VIEW: options.maps,
         _ERROR: options.predicted_error,
@@ -195,8 +195,8 @@ class FrameDrawing:
 
     Attributes:
         options: options of the job.
-        opened: its opened files.
-        raster: None if frames are not rasterised.
+        opened: opened files of the job.
+        raster: the rasteriser; None if frames are not rasterised.
     """
 
     options: RenderOptions
@@ -204,12 +204,12 @@ class FrameDrawing:
     raster: SceneRaster | None
 
     def frames(self, plan: Sequence[PlannedFrame]) -> Generator[DrawnFrame]:
-        """Frames drawn by this process, in their order, or by workers, in the order in which they are finished.
+        """Return a generator of frames, drawn in order by this process, or by workers in the order of completion.
 
-        Close it: files are then no longer written.
+        Closing it stops the writing of files.
 
         Raises:
-            BadInputError: no cluster answers, or something that the options need is not there; nothing is written then.
+            BadInputError: no cluster answers, or something that the options need is missing; nothing is written then.
             MissingExtraError: a library that the options need is not installed.
         """
         if self.options.layers:
@@ -217,7 +217,7 @@ class FrameDrawing:
         if self.options.worker_pool == LOCAL:
             if plan:
                 _ = self._painters, self._error_maps
-            # A path-traced frame takes minutes, and is listed before the next one begins.
+            # A path-traced frame takes minutes, so that each is listed before the next one begins.
             most = 1 if self.options.method == "pathtrace" else min(usable_cores() + 1, _UNWRITTEN)
             return in_background(self.writes(plan, self.options.out), most)
         size = min(max(len(plan) // _BLOCKS, 1), _FRAMES_OF_A_BLOCK)
@@ -226,7 +226,7 @@ class FrameDrawing:
         return (frame for block in drawn for frame in block)
 
     def block(self, plan: Sequence[PlannedFrame]) -> "FrameBlock":
-        """Frames for a worker."""
+        """Return a block of frames for a worker."""
         return FrameBlock(self.options, self.opened.inputs, self.raster is not None, may_refer_outside(), plan)
 
     @cached_property
@@ -252,7 +252,7 @@ class FrameDrawing:
 
     @cached_property
     def _error_maps(self) -> Mapping[str, ErrorMap]:
-        """Predicted errors by eye, if they are asked for."""
+        """Predictors of the error by eye, if the options ask for predicted errors."""
         maps = {}
         for eye in self.opened.channels if self.options.predicted_error else ():
             mappings, sizes = opened_with_sizes(BudgetOptions(self.options.headset), eye)
@@ -261,9 +261,9 @@ class FrameDrawing:
         return maps
 
     def writes(self, plan: Sequence[PlannedFrame], folder: Path) -> Iterator[Callable[[], DrawnFrame]]:
-        """Draw frames, and yield for each the function that writes its files into a folder; any thread may call it.
+        """Draw frames, and yield for each a function that writes its files into a folder; any thread may call it.
 
-        A rasterised frame is read from the GPU after the next one has been handed to it.
+        A rasterised frame is read back only after the next one has been submitted to the GPU.
         """
         painted = deque[tuple[PlannedFrame, Frame]]()
         for planned in plan:
@@ -298,9 +298,9 @@ class FrameDrawing:
         return write
 
     def _label(self, folder: Path, planned: PlannedFrame, frame: Frame) -> tuple[dict[str, Any], list[_Write]]:
-        """Return the misalignment and the predicted error of a frame, if they are asked for.
+        """Return the misalignment and predicted error of a frame, if requested, and functions that write its files.
 
-        The functions that follow write its layers, its instances and its map of predicted errors.
+        These files are its layers, its instances and its map of predicted errors.
         """
         facts, writes = dict[str, Any](), list[_Write]()
         layers, depth_m = self.options.layers, self.options.predicted_error
@@ -324,10 +324,10 @@ class FrameBlock:
     """Frames that a worker draws.
 
     Attributes:
-        options: of the job.
+        options: options of the job.
         inputs: hashes of the files that the job has read, by path.
-        has_opengl: whether it has opened OpenGL.
-        refers_outside: whether its files may refer to files of other folders.
+        has_opengl: whether the job has opened OpenGL.
+        refers_outside: whether the job's files may refer to files in other folders.
         plan: the frames.
     """
 
@@ -342,7 +342,7 @@ def draw_block(block: FrameBlock) -> list[DrawnFrame]:
     """Draw the frames of a block in a worker.
 
     Raises:
-        BadInputError: the worker has other files or no OpenGL.
+        BadInputError: the worker has different files or no OpenGL.
     """
     drawing = _kept_drawing(block)
     return [write() for write in drawing.writes(block.plan, block.options.out)]
@@ -368,7 +368,7 @@ def _kept_drawing(block: FrameBlock) -> FrameDrawing:
 def _open(block: FrameBlock) -> tuple[FrameDrawing, contextlib.ExitStack]:
     with outside_references() if block.refers_outside else contextlib.nullcontext():
         opened = OpenedFiles.of(block.options)
-    # In the order of reading: a shipped file has another path in another installation.
+    # Compare in the order of reading: paths of shipped files differ between installations.
     both = itertools.zip_longest(opened.inputs.items(), block.inputs.items(), fillvalue=("", ""))
     for (path, sha256), (path_there, sha256_there) in both:
         if sha256 != sha256_there:

@@ -1,7 +1,7 @@
 """Layers, instances and misalignment of a frame, and the file that joins the instances of a sequence.
 
-`STEM.exr` has the layers of `draw/frame_layers.py`, and `STEM-labels.json` the instances that the frame shows:
-they would make a ledger of all frames too long. `instances.json` (the layout of COCO) joins them at the end.
+`STEM.exr` has the layers of `draw/frame_layers.py`, and `STEM-labels.json` the instances that the frame shows, which
+would make the ledger of all frames too long. At the end, `instances.json` (COCO layout) joins them.
 """
 
 import json
@@ -127,7 +127,7 @@ def frame_misalignment(truth: Eye, planned: PlannedFrame, frame: Frame) -> dict[
 
 
 def named_annotations(instance: NDArray[np.uint32], scene: Scene) -> list[dict[str, Any]]:
-    """`instance_annotations` with the names of each instance and of its category, the mesh."""
+    """Return `instance_annotations` with the names of each instance and of its category, the mesh."""
     found = instance_annotations(instance)
     placed = [scene.instances[each["instance_id"] - 1] for each in found]
     return [

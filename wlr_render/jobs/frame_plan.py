@@ -34,7 +34,7 @@ class Motion:
     frame_limit: int | None = None
 
     def sample_times(self, eyes: Collection[str]) -> list[tuple[str, FloatArray]]:
-        """Return file and sample times (n,) of the head, and of those eyes that are drawn."""
+        """Return file name and sample times (n,) of the head, and of each eye that is drawn."""
         tracks = self.eyes.tracks.items() if self.eyes else ()
         drawn = [(self.eyes.name, track.time_s) for eye, track in tracks if self.eyes and eye in eyes]
         return [(self.head.name, self.head.time_s), *drawn] if self.head else drawn
@@ -58,16 +58,16 @@ class PlannedFrame:
 
     @property
     def stem(self) -> str:
-        """Name of its files without the suffix."""
+        """File name of the frame without the suffix."""
         return f"{self.eye}-{self.index:06d}"
 
     def file(self, folder: Path, suffix: str = ".png") -> Path:
-        """Return the path of one of its files, by default of the panel image."""
+        """Return the path of one of the frame's files, by default of the panel image."""
         return folder / f"{self.stem}{suffix}"
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Eye, time stamp, viewpoint and head pose, as JSON has them."""
+        """Eye, time stamp, viewpoint and head pose, as JSON values."""
         return {
             "eye": self.eye,
             "index": self.index,
@@ -105,10 +105,10 @@ def planned_frames(motion: Motion, mappings: dict[str, Eye]) -> list[PlannedFram
 
 
 def _pupils(eyes: EyeTrajectory | None, mappings: Eye, times: FloatArray) -> list[tuple[FloatArray, bool, float]]:
-    """Viewpoint (3,) of each frame, whether it is held, and the length of the gap in which it lies, or 0.
+    """Return the viewpoint (3,) of each frame, whether it is held, and the length of the gap in which it lies, or 0.
 
     In a gap between samples, such as a blink, a pupil is held at the last sample. Outside the eye box it is held at its
-    last place inside or, before there is one, at the nearest point of the eye box.
+    last place inside or, before the first such place, at the nearest point of the eye box.
     """
     box = mappings.eye_box
     if eyes is None:

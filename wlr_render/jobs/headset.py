@@ -62,7 +62,7 @@ def open_eye(spec: str | Path, eye: str = "right") -> Eye:
         The mappings of display and world, and the eye box; device frame, metres.
 
     Raises:
-        BadInputError: nothing of that name, a faulty file, or an eye that it does not hold.
+        BadInputError: there is nothing of that name, the file is faulty, or it does not have this eye.
 
     Example:
         >>> import wlr_render as wlr
@@ -77,7 +77,7 @@ def open_eye(spec: str | Path, eye: str = "right") -> Eye:
 
 
 def _device(spec: str | Path) -> Device:
-    """Return a device; of a bench, its device with the heights that its effects add to the combiner."""
+    """Return a device; for a bench, its device with the heights that its effects add to the combiner."""
     if Path(spec).name != "bench.toml":
         return load_device(spec)
     bench = load_bench(spec)
@@ -87,7 +87,7 @@ def _device(spec: str | Path) -> Device:
 
 
 def effect_warnings(spec: str | Path) -> list[str]:
-    """Return a sentence on the effects of a bench's headset that its maps do not have, if there are any."""
+    """Return a sentence on the effects of a bench's headset that its maps leave out, if any."""
     if Path(spec).name != "bench.toml":
         return []
     of_headset = [each for each in load_bench(spec).effects if each.station in ("panel", "combiner")]
@@ -162,10 +162,10 @@ def _same_eye(green: Eye, spec: Path) -> Eye:
 
 
 def require_in_eye_box(mappings: Eye, viewpoint: FloatArray, where: str) -> None:
-    """Refuse a viewpoint (3,) that the mappings were not made for.
+    """Refuse a viewpoint (3,) outside the eye box of the mappings.
 
     Raises:
-        BadInputError: it lies outside the eye box; the sentence has both.
+        BadInputError: it lies outside the eye box; the message states both.
     """
     box = mappings.eye_box
     if not box.contains(viewpoint, margin=1e-6):

@@ -33,7 +33,7 @@ from wlr_render.optics.surfaces import Shape
 from wlr_render.report.blocks import Cell, Columns, Report, ReportTable, table
 from wlr_render.work.progress import SILENT
 
-_MOST_NAMED = 8  # surfaces in one sentence
+_MOST_NAMED = 8  # most surfaces named in one sentence
 _SIDE_MM = Range(at_least=0.1, at_most=200, unit="millimetres")
 _NUMBER = Range(at_least=0, at_most=1000)
 _PLACE_MM = Range(at_least=-1000, at_most=1000, unit="millimetres")
@@ -111,8 +111,8 @@ def import_lens(options: ImportLensOptions, *, progress: ProgressArgument = SILE
     """Convert a lens file into a device file, NAME.toml in `options.out`.
 
     Raises:
-        BadInputError: the file is faulty, names a glass that no catalogue has, does not tell eye and panel, or the
-            folder cannot be written.
+        BadInputError: the file is faulty, names an unknown glass, or does not identify eye and panel; or the folder
+            cannot be written.
     """
     progress.say("reading the lens file")
     program, lens = read_lens_file(options.file, GlassCatalogue(options.glasses))
@@ -147,7 +147,7 @@ def _choices(options: ImportLensOptions, program: str, lens: LensFile) -> Headse
 
 
 def _require_readable(options: ImportLensOptions, device: Device) -> None:
-    """Refuse a device that `load_device` would refuse, before anything is written."""
+    """Refuse a device that `load_device` would refuse; called before anything is written."""
     try:
         device_of(Table(device_content(device), f"{options.file}, as a device"))
     except BadInputError as error:
@@ -157,7 +157,7 @@ def _require_readable(options: ImportLensOptions, device: Device) -> None:
 
 
 def _not_the_lens(headset: ImportedHeadset) -> str:
-    """Beginning of the verdict if surfaces of the file are of types that are not read; else empty."""
+    """Return the start of the verdict if the file has surfaces of unsupported types; else empty."""
     unread = _unread(headset)
     if not unread:
         return ""
@@ -207,7 +207,7 @@ def _warnings(headset: ImportedHeadset) -> list[str]:
 
 
 def _surface_table(lens: LensFile, headset: ImportedHeadset) -> ReportTable:
-    """Table of the surfaces of the file and their use in the device."""
+    """Tabulate the surfaces of the file and their use in the device."""
     optics = headset.device.eyes[next(iter(headset.device.eyes))]
     steps = dict(zip(headset.path, optics.display.steps, strict=True))
     unread = {note.surface for note in _unread(headset)}

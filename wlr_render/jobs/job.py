@@ -1,4 +1,4 @@
-"""What every job of the command line does around its work."""
+"""The decorator of all jobs: lock the output folder and write the report."""
 
 import functools
 import inspect
