@@ -21,11 +21,11 @@ from wlr_render.warp.ray_map import checked_viewpoint
 from wlr_render.warp.stored_picture import Rows, StoredColour, StoredDepth
 
 REACH = 0.5
-"""Largest distance of a viewpoint outside the eye box, as a share of the box's size on each axis. Polynomials fitted
-inside may be extrapolated a little; farther out their values are meaningless.
+"""Largest distance of a viewpoint outside the eye box, as a share of the box's size on each axis. Polynomials
+fitted inside may be extrapolated a little; farther out their values are meaningless.
 """
 FARTHEST_M = 1e8
-"""Distance of a head from the world's origin: float64 resolves 15 nm there, and Earth-centred frames fit in."""
+"""Largest distance of a head from the world's origin: float64 resolves 15 nm there, and Earth-centred frames fit."""
 _ROTATION_SLACK = 1e-4
 _IDENTITY = np.eye(3)
 _ROUNDING = _ROUNDING_M = 1e-9
@@ -39,21 +39,21 @@ def _require(is_valid: bool | np.bool_, what: str, value: object, wanted: str) -
 def _checked_array(
     value: object, shape: tuple[int, ...], what: str, wanted: str, is_valid: Callable[[FloatArray], Any]
 ) -> FloatArray:
-    """Return a float64 copy of an array of finite numbers that are valid; `wanted` says which are."""
+    """Return a float64 copy of an array of finite, valid numbers; `wanted` describes valid numbers."""
     array = finite_array(value, shape, what, wanted)
     _require(is_valid(array), what, value, f"give {wanted}")
     return array
 
 
 def checked_eye(eye: str | None, eyes: Sequence[str]) -> str:
-    """Return the eye that a caller names; it may be left out if there is one."""
+    """Return the eye that a caller names; it may be omitted if there is only one."""
     if eye is None and len(eyes) > 1:
         raise BadInputError(f"there are two eyes; name one of {', '.join(eyes)} with eye=.")
     return eyes[0] if eye is None else checked_choice(eye, eyes, "eye")
 
 
 def checked_eyes(given: object, eyes: Sequence[str]) -> list[str]:
-    """Return some of the eyes, the left one first; all if None."""
+    """Return the given eyes, left first; all eyes if None."""
     named: Any = eyes if given is None else given
     is_some = isinstance(named, Collection) and not isinstance(named, str) and len(named) > 0
     _require(is_some, "eyes", given, f"give some of {', '.join(eyes)}, as in eyes=('left',)")
@@ -92,7 +92,7 @@ def checked_quad(size_m: object, world_from_quad: object, device_from_quad: obje
 
 
 def checked_choice(value: object, choices: Sequence[str], what: str) -> str:
-    """Return one of the words that an argument takes."""
+    """Return the value if it is one of the choices."""
     _require(isinstance(value, str) and value in choices, what, value, f"choose from {', '.join(choices)}")
     return str(value)
 
@@ -110,7 +110,7 @@ def checked_number(value: object, what: str, at_least: float, at_most: float) ->
 
 
 def checked_whole(value: Any, what: str, at_most: int) -> int:
-    """Return a whole number from 0 to a largest one."""
+    """Return a whole number from 0 to `at_most`."""
     _require(is_number(value) and 0 <= value <= at_most, what, value, f"give a whole number from 0 to {at_most}")
     return int(value)
 
@@ -129,7 +129,7 @@ def checked_size(size_px: Sequence[int]) -> tuple[int, int]:
 
 
 def checked_fov(fov_rad: object) -> FloatArray:
-    """Return angles (4,) of the left, right, upper and lower border of a field, each within a right angle."""
+    """Return the angles (4,) of the left, right, upper and lower border of a field of view, each below 90 degrees."""
     return _checked_array(
         fov_rad,
         (4,),
@@ -141,7 +141,7 @@ def checked_fov(fov_rad: object) -> FloatArray:
 
 
 def checked_background(colour: Sequence[int]) -> tuple[int, int, int]:
-    """Return sRGB codes."""
+    """Return the background as sRGB codes."""
     wanted = "(red, green, blue) as whole sRGB codes from 0 to 255"
     codes = _checked_array(
         colour, (3,), "the background", wanted, lambda array: all(code in range(256) for code in array.tolist())
@@ -185,7 +185,7 @@ def _checked_channels(eye: str, models: Eye | Sequence[Eye]) -> EyeChannels:
 
 
 def check_inset_field(inset: Pinhole, wider: Pinhole) -> None:
-    """Check that an inset shows a part of a wider picture of the same camera frame, with more pixels."""
+    """Check that an inset shows part of a wider picture of the same camera frame, with finer pixels."""
     slack = _ROUNDING * (wider.tangent_max - wider.tangent_min)
     if (inset.tangent_min < wider.tangent_min - slack).any() or (inset.tangent_max > wider.tangent_max + slack).any():
         raise BadInputError(
@@ -205,7 +205,7 @@ def _rounded(values: FloatArray) -> list[float]:
 
 
 def check_camera_size(plan: EyePlan) -> None:
-    """Check the number of pixels of the intermediate image, before anything of that size is made."""
+    """Check the number of pixels of the intermediate image before anything of that size is allocated."""
     width, height = plan.camera.width_px, plan.camera.height_px
     if width * height > LIMITS.picture_pixels or max(width, height) > LIMITS.picture_side:
         raise BadInputError(
@@ -230,9 +230,9 @@ def checked_panels(panel: object, eyes: Sequence[str], size_px: tuple[int, int])
 
 
 def checked_pose(pose: object, what: str = "the pose") -> FloatArray:
-    """Return a copy of a pose as (4, 4) float64: trackers write the next pose where the last one was.
+    """Return a copy of a pose as (4, 4) float64: trackers overwrite their poses in place.
 
-    Its rotation is the nearest one to what is given, which may be rounded to about four digits.
+    Its rotation is the one nearest to the given matrix, which may be rounded to about four digits.
     """
     name, until = "world_from_device", ", and the last good one while the head is not tracked"
     if what.endswith("_quad"):
@@ -256,7 +256,7 @@ def checked_pose(pose: object, what: str = "the pose") -> FloatArray:
     if askew <= _ROTATION_SLACK and not is_mirror and is_affine:
         if askew > _ROUNDING:
             left, _, right = np.linalg.svd(rotation)
-            matrix[:3, :3] = left @ right  # the nearest rotation: what follows takes its transpose for its inverse
+            matrix[:3, :3] = left @ right  # the nearest rotation: later code uses its transpose as its inverse
         return matrix
     if abs(scale - 1) > _ROTATION_SLACK and np.abs(gram - scale**2 * np.eye(3)).max() < 1e-6 * scale**2:
         remedy = f"it scales by {scale:g}; divide its first three columns by that"
@@ -270,7 +270,7 @@ def checked_pose(pose: object, what: str = "the pose") -> FloatArray:
 def checked_viewpoints(
     viewpoint: FloatArray | Mapping[str, FloatArray], models: Mapping[str, EyeChannels]
 ) -> dict[str, FloatArray]:
-    """Return copies (3,) by eye, of the eyes that are given; each in the eye box, or not far outside."""
+    """Return copies (3,) of the given viewpoints by eye; each must lie in the eye box or not far outside."""
     if not isinstance(viewpoint, Mapping):
         if len(models) > 1 and viewpoint is not None:
             raise BadInputError("one viewpoint is given for two eyes; give {'left': ..., 'right': ...}.")

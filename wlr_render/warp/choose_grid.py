@@ -1,7 +1,7 @@
-"""Choice of a warp grid, or of a mesh's: the coarsest whose measured interpolation error is within a tolerance.
+"""Choice of a warp grid, or of a mesh's grid: the coarsest with a measured interpolation error within a tolerance.
 
-`WarpGrid.interpolated` misses of a smooth ray map its third derivatives: the error grows with the cube of the cell's
-size and more. The triangles of a mesh miss the second ones: it grows with the square.
+`WarpGrid.interpolated` neglects the third derivatives of a smooth ray map: the error grows at least with the cube of
+the cell size. The triangles of a mesh neglect the second derivatives: the error grows with the square.
 """
 
 import itertools
@@ -20,8 +20,8 @@ from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.ray_map import NEAREST_M, RayMap, RayMapPlan, choose_plan, ray_map, solve_pixels
 
 TOLERANCE_ARCMIN = 0.02
-"""A tenth of the misalignment that the composed frame may have, so that squared it is a hundredth; below what float32
-and a display pixel of 1 to 3 arcmin let anyone see."""
+"""Default tolerance: a tenth of the misalignment allowed for the composed frame, a hundredth when squared; invisible
+with float32 and display pixels of 1 to 3 arcmin."""
 
 _MOST_CELLS = 256
 _JUDGED_PIXELS = 60
@@ -33,20 +33,20 @@ _NODES_TOLERANCE_PX = 0.0005
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    order: int  # power of the cell's size with which the error goes
+    order: int  # power of the cell size with which the error grows
     places: FloatArray  # positions in a cell with the largest error
-    cells: int  # judged along each axis
-    units: FloatArray  # judged viewpoints, as `EyeBox.at`
+    cells: int  # number of cells that are judged along each axis
+    units: FloatArray  # viewpoints that are judged, see `EyeBox.at`
     coarsest_cells: int
-    aim: float  # share of the tolerance that the next grid is to reach
-    close: float  # expected growth of a cell from which on a grid within the tolerance is not taken yet
+    aim: float  # share of the tolerance that the next grid aims at
+    close: float  # expected growth of a cell from which on a grid within the tolerance is made coarser
 
 
 _CORNERS = np.array([[0, 0, 0], *itertools.product((-1, 1), repeat=3)], dtype=np.float64)
-# Cubics in one coordinate err most at these places, mixed cubics on the diagonal.
+# Cubics in one coordinate have their largest errors at these places, mixed cubics on the diagonal.
 _OF_CUBICS = np.array([[0.21, 0.21], [0.79, 0.21], [0.5, 0.5], [0.21, 0.79], [0.79, 0.79]])
 _QUADRATIC = _Search(3, _OF_CUBICS, 10, _CORNERS, coarsest_cells=16, aim=0.95, close=np.inf)
-# Triangles err most at the middles of their sides, of which the diagonal is the longest, and within.
+# The errors of triangles are largest inside and at the middles of their sides; the diagonal is the longest side.
 _OF_SQUARES = np.array([[0, 3], [3, 0], [3, 3], [3, 6], [6, 3], [2, 2], [4, 4]]) / 6
 _LINEAR = _Search(2, _OF_SQUARES, 24, _CORNERS[[0, 8, 2, 3, 5]], coarsest_cells=8, aim=0.85, close=1.1)
 
@@ -56,8 +56,8 @@ class ChosenWarpGrid:
     """A warp grid and its measured interpolation error.
 
     Attributes:
-        grid: the points.
-        bound_arcmin: the largest error found, as `warp_grid_error_arcmin`; infinite if no ray was found anywhere.
+        grid: the warp grid.
+        bound_arcmin: the largest error found, see `warp_grid_error_arcmin`; infinite if no ray was found anywhere.
         hole_share: 0..1, the share of the test points that lie in a hole or in a cell next to one; no error is computed
             there.
     """
@@ -68,7 +68,7 @@ class ChosenWarpGrid:
 
     @property
     def cell_px(self) -> FloatArray:
-        """(2,) panel pixels from one point to the next."""
+        """(2,) panel pixels between neighbouring points."""
         return self.grid.step_px
 
 
@@ -79,15 +79,15 @@ def choose_warp_grid(
 ) -> ChosenWarpGrid:
     """Return the coarsest warp grid of nearly square cells whose error is within the tolerance over the eye box.
 
-    Judged at the eye box's centre and at its corners. There are at most 256 cells along an axis:
-    where that is not fine enough, `bound_arcmin` exceeds the tolerance. Cells are whole blocks of 4 x 4 px where such a
-    size divides the panel and is not much smaller than necessary: GPUs and software renderers shade pixels in blocks,
-    and those on the border of two triangles twice.
+    The error is judged at the centre and corners of the eye box. There are at most 256 cells along an axis: if that is
+    not fine enough, `bound_arcmin` exceeds the tolerance. Cells are whole blocks of 4 x 4 px where such a size divides
+    the panel and is not much smaller than necessary: GPUs and software renderers shade pixels in blocks, and blocks on
+    the border of two triangles twice.
 
     Args:
-        mappings: any pair.
-        device_from_camera: (3, 3) axes in which rays are known.
-        tolerance_arcmin: as `warp_grid_error_arcmin`.
+        mappings: any display and see-through mappings.
+        device_from_camera: (3, 3) axes of the rays.
+        tolerance_arcmin: tolerance, see `warp_grid_error_arcmin`.
     """
     panel = mappings.display.panel
 
@@ -114,13 +114,13 @@ def choose_mesh_grid(mappings: Eye, axes: FloatArray, size_px: tuple[int, int], 
 def _coarsest(
     judged: Callable[[float], ChosenWarpGrid], kind: _Search, panel: Panel, finest_px: float, tolerance: float
 ) -> ChosenWarpGrid:
-    """Return the coarsest grid within the tolerance, the finest if none is, the first if no ray is known."""
+    """Return the coarsest grid within the tolerance, the finest if all exceed it, the first if no ray is known."""
     coarsest_px = max(float(np.min(panel.size_px)) / kind.coarsest_cells, finest_px)
     cell_px, finer = coarsest_px, None
     while True:
         chosen = judged(cell_px)
         is_within = chosen.bound_arcmin <= tolerance
-        if finer is not None:  # cells were made larger again
+        if finer is not None:  # the cells were enlarged again
             return chosen if is_within else finer
         change = (kind.aim * tolerance / max(chosen.bound_arcmin, 1e-9)) ** (1 / kind.order)
         aimed_px = float(
@@ -141,9 +141,9 @@ def _node_count(mappings: Eye) -> int:
 
 
 def mesh_error_arcmin(mappings: Eye, plan: RayMapPlan, ray_map_at: Callable[[FloatArray], RayMap]) -> float:
-    """Largest error of rays between the vertices, in cells all over the panel and viewpoints all over the eye box.
+    """Return the largest error of rays between the vertices, in cells all over the panel and the eye box.
 
-    Against the exact solve, as `ray_error_arcmin`; infinite if no ray is found anywhere.
+    The error is relative to the exact solve, see `ray_error_arcmin`; infinite if no ray is found anywhere.
     """
     return _judged_mesh(mappings, plan, ray_map_at).bound_arcmin
 
@@ -158,7 +158,7 @@ def _judged_mesh(mappings: Eye, plan: RayMapPlan, ray_map_at: Callable[[FloatArr
 
 
 def _cells_along(size_px: int, most_px: float) -> int:
-    """Return the number of equal cells of at most that size along an axis."""
+    """Return the number of equal cells of at most `most_px` along an axis."""
     whole_blocks = [
         cell
         for cell in range(_BLOCK_PX, int(most_px) + 1, _BLOCK_PX)
@@ -189,18 +189,18 @@ def warp_grid_error_arcmin(
     viewpoint: FloatArray,
     pixel: FloatArray,
 ) -> FloatArray:
-    """Error of `WarpGrid.interpolated` between a warp grid's exact rays, against the exact solve.
+    """Return the error of `WarpGrid.interpolated` between exact rays, relative to the exact solve.
 
     Args:
-        mappings: any pair.
-        device_from_camera: (3, 3) axes in which rays are read.
-        warp_grid: judged.
+        mappings: any display and see-through mappings.
+        device_from_camera: (3, 3) axes of the rays.
+        warp_grid: the warp grid to be judged.
         viewpoint: (3,) device frame.
         pixel: (n, 2) panel positions.
 
     Returns:
-        (n,) arcminutes, as `ray_error_arcmin`; NaN where a ray that the comparison needs is missing, and in the cells
-        next to a hole.
+        (n,) arcminutes, see `ray_error_arcmin`; NaN where a ray for the comparison is missing, and in cells next to a
+        hole.
     """
     at_points = solve_pixels(mappings, device_from_camera, warp_grid.panel_pixel(), viewpoint).slope_offset
     exact = solve_pixels(mappings, device_from_camera, pixel, viewpoint).slope_offset
@@ -220,6 +220,6 @@ def _beside_hole(warp_grid: WarpGrid, at_points: FloatArray, pixel: FloatArray) 
 
 
 def ray_error_arcmin(slope_offset: FloatArray, exact: FloatArray) -> FloatArray:
-    """Error of rays (..., 4): the angle at infinity plus the offset's angle at the nearest depth, (...)."""
+    """Return the error (...) of rays (..., 4): the angle at infinity plus the offset's angle at the nearest depth."""
     angle = arcmin_between(dir_of_tangents(slope_offset[..., :2]), dir_of_tangents(exact[..., :2]))
     return np.asarray(angle + np.linalg.norm(slope_offset[..., 2:] - exact[..., 2:], axis=-1) / NEAREST_M / ARCMIN)

@@ -23,10 +23,10 @@ from wlr_render.warp.ray_map import RayMap, RayMapSolver, SolvedT
 
 @dataclass(frozen=True, eq=False)
 class GlComposed:
-    """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's.
+    """One eye's picture on the GPU; `warped` is None if it was drawn into the caller's framebuffer.
 
-    `draw_source` draws the pull map of another channel than green, from the submitted picture; None if the picture was
-    composed without.
+    `draw_source` draws the pull map of a channel other than green, from the submitted picture; None if the picture was
+    composed without pull maps.
     """
 
     warped: GpuWarped | None
@@ -36,11 +36,11 @@ class GlComposed:
 
     @property
     def texture(self) -> gl.Texture | None:
-        """The texture with its top row first; None if the picture went into a framebuffer of the caller's."""
+        """The texture with its top row first; None if the picture was drawn into the caller's framebuffer."""
         return self.warped.colour if self.warped else None
 
     def read_async(self) -> Readback:
-        """Start to fetch the colour."""
+        """Start fetching the colour."""
         return self.readbacks.start(self._own().colour)
 
     def read_into(self, target: Any) -> None:
@@ -50,24 +50,24 @@ class GlComposed:
             read_into(own.context, own.colour, target)
 
     def read_colour(self) -> NDArray[Any]:
-        """Fetch the colour alone, (height, width, 3)."""
+        """Fetch the colour without alpha, (height, width, 3)."""
         own = self._own()
         with own.context.drawing():
             return read_rgb(own.colour)
 
     def read_status(self) -> NDArray[np.uint8]:
-        """Fetch (height, width) uint8, one `WarpStatus` each."""
+        """Fetch the status (height, width) uint8, one `WarpStatus` each."""
         own = self._own()
         with own.context.drawing():
             return gl.read(own.status, np.uint8)
 
     def read_source(self, channel: int | None) -> NDArray[np.float32] | None:
-        """Fetch the pull map of a channel, green's if None; None if it was composed without."""
+        """Fetch the pull map of a channel, green's if None; return None if the picture was composed without one."""
         own = self._own()
         chosen = len(self.ray_maps) // 2 if channel is None else channel
         if chosen not in range(len(self.ray_maps)):
             raise BadInputError(f"channel {shown(channel)} does not exist; the eye has {len(self.ray_maps)}.")
-        is_there = own.source is None or chosen == len(self.ray_maps) // 2  # a warp of three channels gives green's
+        is_there = own.source is None or chosen == len(self.ray_maps) // 2  # the map of a three-channel warp is green's
         drawn = own if is_there or self.draw_source is None else self.draw_source(chosen)
         if drawn.source is None:
             return None
@@ -93,11 +93,11 @@ class ComposedFrame:
     """The panel images of one frame, which the next `compose` of the same eye overwrites.
 
     Attributes:
-        eyes: by name.
-        viewpoints: (3,) by eye that it was composed for, device frame, metres.
-        world_from_device: (4, 4) head pose that it was composed for; of the first row, if rows have their own.
-        reading: block in which an eye's picture is read, while no other thread composes; a `BadInputError` once it is
-            overwritten, or the compositor released.
+        eyes: pictures by eye.
+        viewpoints: (3,) viewpoints of the frame by eye, device frame, metres.
+        world_from_device: (4, 4) head pose of the frame; of its first row if rows have separate poses.
+        reading: block in which an eye's picture is read, while no other thread composes; raises `BadInputError` once
+            the picture is overwritten or the compositor released.
     """
 
     eyes: Mapping[str, GlComposed]
@@ -106,9 +106,9 @@ class ComposedFrame:
     reading: Callable[[str], AbstractContextManager[object]]
 
     def read(self, eye: str | None = None) -> NDArray[Any]:
-        """Fetch an eye's (height, width, 3), top row first; `eye` may be left out if there is one.
+        """Fetch an eye's picture (height, width, 3), top row first; `eye` may be omitted if there is one.
 
-        uint8 sRGB, or as the compositor's `panel` says: its encoding, and uint8 for 8 bits, uint16 for 10 (65535 is the
+        uint8 sRGB, or the encoding of the compositor's `panel`, in uint8 for 8 bits, uint16 for 10 (65535 is the
         largest code), float16 for 16.
 
         Raises:
@@ -119,9 +119,9 @@ class ComposedFrame:
             return own.read_colour()
 
     def read_async(self, eye: str | None = None) -> Readback:
-        """Start to fetch what `read` returns, and return at once; a later `compose` does not change the result.
+        """Start fetching the result of `read`, and return at once; a later `compose` does not change it.
 
-        Three pictures of an eye may be on their way: while the last three are unread, this waits for the first.
+        Three pictures of an eye may be in flight: while the last three are unread, this waits for the first.
 
         Raises:
             BadInputError: as `read`.
@@ -135,7 +135,7 @@ class ComposedFrame:
         Args:
             target: (height, width, 4) of the type that `read` returns, contiguous; or a ModernGL buffer of that size,
                 to which the copy does not wait for the GPU.
-            eye: may be left out if there is one.
+            eye: may be omitted if there is one.
 
         Raises:
             BadInputError: as `read`, or a target of another kind, size or context.
@@ -144,7 +144,7 @@ class ComposedFrame:
             own.read_into(target)
 
     def status(self, eye: str | None = None) -> NDArray[np.uint8]:
-        """Fetch what each pixel of an eye shows, (height, width) uint8, one `WarpStatus` each.
+        """Fetch the status of an eye's pixels, (height, width) uint8, one `WarpStatus` each.
 
         Raises:
             BadInputError: as `read`.
@@ -168,12 +168,12 @@ class ComposedFrame:
         """Fetch an eye's pull map, (height, width, 2) positions in the submitted picture, NaN without one.
 
         Args:
-            eye: may be left out if there is one.
-            channel: 0, 1 or 2 for red, green or blue of an eye with three models; green if left out.
+            eye: may be omitted if there is one.
+            channel: 0, 1 or 2 for red, green or blue of an eye with three models; green by default.
 
         Raises:
-            BadInputError: as `read`, it was composed without, or red's or blue's is asked for after the eye's next
-                `submit`.
+            BadInputError: as `read`, the frame was composed without pull maps, or red's or blue's is requested after
+                the eye's next `submit`.
         """
         with self._eye(eye) as own:
             source = own.read_source(channel)
@@ -209,8 +209,8 @@ class CachedRayMaps(Generic[SolvedT]):
         self._solved: tuple[FloatArray, list[SolvedT]] | None = None
 
     def at(self, viewpoint: FloatArray) -> list[SolvedT]:
-        """One ray map per channel at a viewpoint (3,), which is kept for comparison: do not write into it."""
+        """Return one ray map per channel at a viewpoint (3,), which is kept for comparison: do not modify it."""
         if self._solved is None or (self._solved[0] != viewpoint).any():
-            self._solved = None  # a solve that fails leaves ray maps of two viewpoints
+            self._solved = None  # a failed solve would leave ray maps of two viewpoints
             self._solved = viewpoint, [solve.solve(viewpoint) for solve in self._solves]
         return self._solved[1]

@@ -2,7 +2,7 @@
 
 A frame is `begin_frame` (returns the cameras), `submit` once per eye (takes the pictures), `compose` (returns the panel
 images). Each eye shows its newest submitted picture: one that is late, or drawn at a lower rate, is warped again to the
-newest pose. All input is checked before anything is changed: after an error the frame is as it was before the call.
+newest pose. All input is checked before anything is changed: an error leaves the frame as it was before the call.
 """
 
 import typing
@@ -54,7 +54,7 @@ class Compositor:
     A context manager; `release` frees its objects on the GPU, and the context that it opened.
 
     Attributes:
-        eyes: names, the left eye first.
+        eyes: names of the eyes, left first.
         size_px: (width, height) of each eye's display picture.
     """
 
@@ -75,14 +75,14 @@ class Compositor:
         """Prepare; `prepare` also compiles all shaders.
 
         Args:
-            models: mappings of one eye, or by eye "left" and "right"; three of an eye are for red, green and blue.
+            models: mappings of one eye, or by eye "left" and "right"; three for one eye are for red, green and blue.
             size: (width, height) in pixels of each eye's display picture, which covers its panel; 2^27 pixels at most.
-            context: a `moderngl.Context` whose textures are taken, for which a context is opened that shares them;
-                "current" for the OpenGL context that is current on this thread, whoever made it; "egl" or "osmesa" to
-                open one that shares with none; "auto" for the first of these two that opens; or a `gl.gl.GlContext` to
-                work in, which `release` leaves open.
-            host_state: of a context that is given: "kept" touches none of it; "clean" is for drivers that cannot share:
-                the compositor works in the host's own context, and the host promises OpenGL's default state when it
+            context: a `moderngl.Context` of the submitted textures, with which the compositor's new context shares
+                objects; "current" for the OpenGL context that is current on this thread, whoever made it; "egl" or
+                "osmesa" to open a context that shares with none; "auto" for the first of these two that opens; or a
+                `gl.gl.GlContext` to work in, which `release` leaves open.
+            host_state: state of a given context: "kept" leaves it untouched; "clean" is for drivers that cannot share:
+                the compositor works in the host's own context, and the host guarantees OpenGL's default state when it
                 calls and relies on no binding afterwards (docs/realtime.md has the list).
             resolution: pixels of the intermediate image per display pixel and axis, 0.01 to 4.
             raster_camera: where `begin_frame` puts the camera: "nearest" to the rays that reach the pupil, or at the
@@ -91,11 +91,11 @@ class Compositor:
             late_margin_deg: largest head rotation between drawing and scan-out without black borders, 0 to 20.
             background: sRGB of pixels that fall outside the picture.
             panel: encoding, uniformity, sub-pixels and bits of the panels' light; one for all eyes, or by eye.
-            hidden_areas: what fills areas that edges hide from the newest picture (DISOCCLUDED): the colours beside
-                them, "repeated", or the eye's "last picture" where that saw them (docs/realtime.md).
+            hidden_areas: content of areas that edges hide from the newest picture (DISOCCLUDED): the colours next to
+                them, "repeated", or the eye's "last picture" where it shows them (docs/realtime.md).
 
         Raises:
-            BadInputError: models that do not fit together, no size, or an unknown choice.
+            BadInputError: models that do not fit together, an invalid size, or an unknown choice.
             MissingGlError: OpenGL does not open, or the given context cannot share or is below version 4.1.
         """
         channels = checked_models(models)
@@ -121,7 +121,7 @@ class Compositor:
 
     @property
     def eyes(self) -> tuple[str, ...]:
-        """Names, the left eye first."""
+        """Names of the eyes, left first."""
         return tuple(self._plans)
 
     @property
@@ -131,7 +131,7 @@ class Compositor:
 
     @property
     def context(self) -> GlContext:
-        """The compositor's OpenGL context, to be shared with this library's renderers."""
+        """The compositor's OpenGL context, for use by this library's renderers."""
         return self._backend.context
 
     def plan(self, eye: str) -> EyePlan:
@@ -150,12 +150,12 @@ class Compositor:
         time_s: float | None = None,
         predict_s: float = 0.0,
     ) -> FrameHandle:
-        """Start a frame. The last three frames may be submitted, in any order of the eyes.
+        """Start a frame. Pictures of the last three frames may be submitted, in any order of the eyes.
 
         Only the eyes whose viewpoints are named have a camera in this frame.
 
         Returns:
-            The camera to draw with, by eye, as `locate_views`: a mapping, and the handle that `submit` takes.
+            The camera to draw with, by eye, as from `locate_views`: a mapping that is also the handle for `submit`.
 
         Raises:
             BadInputError: as `locate_views`.
@@ -170,17 +170,17 @@ class Compositor:
         time_s: float | None = None,
         predict_s: float = 0.0,
     ) -> dict[str, EyeCamera]:
-        """Return the cameras to draw with, by eye, without starting a frame: what xrLocateViews is to xrBeginFrame.
+        """Return the cameras to draw with, by eye, without starting a frame, as OpenXR's xrLocateViews does.
 
-        An engine that draws a frame for newer poses than it began with takes its cameras from here, and hands them to
+        An engine that draws a frame for newer poses than it began with gets its cameras here, and passes them to
         `submit`.
 
         Args:
             pose: (4, 4) world_from_device.
             viewpoint: (3,) entrance pupil in the device frame, metres; by eye if there are two.
-            time_s: when pose and viewpoint were measured, in seconds of any clock; for `predict_s`.
-            predict_s: draw for the pose and viewpoint this much later, 0 to 0.1 s, predicted at constant velocity from
-                this and the last call with a time (`geometry/pose_prediction.py`).
+            time_s: time of pose and viewpoint in seconds of any clock; for `predict_s`.
+            predict_s: time ahead for which to draw, 0 to 0.1 s; pose and viewpoint are predicted at constant velocity
+                from this and the last call with a time (`geometry/pose_prediction.py`).
 
         Raises:
             BadInputError: an invalid pose, viewpoint or time, or a viewpoint far outside the eye box.
@@ -206,32 +206,32 @@ class Compositor:
 
         Args:
             colour: a numpy array (height, width, 3 or 4) of uint8, uint16, float16 or float32 with its top row first;
-                or a texture (ModernGL's, OpenGL numbers of it and of `depth`, or a `framebuffers.TextureLayer`); or
-                a ModernGL framebuffer, or the OpenGL number of one, that holds depth too; or a `GpuImage` of this
-                library's renderers; only a `GpuImage` is not copied.
-            depth: a numpy array (height, width) or a texture, unless `colour` holds it. Pixels that hold NaN are
-                background. Numbers outside what `stored` allows are refused in arrays; in textures, which are not read
+                or a texture (ModernGL's, its OpenGL number if `depth` is a number too, or a
+                `framebuffers.TextureLayer`); or a ModernGL framebuffer, or its OpenGL number, that holds depth too; or
+                a `GpuImage` of this library's renderers; only a `GpuImage` is not copied.
+            depth: a numpy array (height, width) or a texture, unless `colour` holds it. Pixels with NaN are
+                background. Numbers outside the range of `stored` are refused in arrays; in textures, which are not read
                 back, they are background too.
-            eye: may be left out if there is one eye, or a camera.
+            eye: may be omitted if there is one eye, or a camera.
             stored: encoding of the depth; by default metres along the camera's axis with 0 for background, as pyrender
                 returns it.
-            rows: which row comes first in memory; by default the top one for arrays, the bottom one for OpenGL's
+            rows: row that comes first in memory; by default the top row for arrays, the bottom row for OpenGL's
                 pictures.
-            frame: the frame that it was drawn for; the newest if left out, which is right only while no frames overlap:
-                of pictures other than a `GpuImage` the pose cannot be checked.
+            frame: frame that the picture was drawn for; the newest by default, which is right only while no frames
+                overlap: the pose can be checked only for a `GpuImage`.
             stored_colour: encoding of the colours; 8-bit sRGB codes by default.
-            camera: that drew it, if not the frame's: from `locate_views`, for a pose newer than the frame's; or from
-                `EyeCamera.inset`, for a sharper picture of a part of the field, shown in place of the eye's picture
-                there. Submit the eye's picture of the frame first, then its insets, each within the last. An inset is
-                copied, also a `GpuImage`; without a depth (arrays, ModernGL's textures, `TextureLayer`; a number alone
-                means a framebuffer) it takes the depth of the picture around it.
+            camera: camera that drew it, if not the frame's: from `locate_views`, for a pose newer than the frame's; or
+                from `EyeCamera.inset`, for a sharper picture of part of the field of view, which replaces the eye's
+                picture there. Submit the eye's picture of the frame first, then its insets, each within the last. An
+                inset is copied, even a `GpuImage`; without a depth (arrays, ModernGL's textures, `TextureLayer`; a
+                number alone means a framebuffer) it takes the depth of the picture around it.
 
         Raises:
-            BadInputError: no frame begun, or one that is older than the last three or than the eye's newest picture; an
-                eye submitted twice or without a camera in the frame; a picture of another size, kind or context; a
-                `GpuImage` of another pose; metres in a depth format; an inset before the eye's picture, of another
-                pose, outside the picture before it, or not sharper; or dictionaries of other eyes. If only the right
-                eye's picture is refused, the left eye has been submitted.
+            BadInputError: no frame was begun, or the frame is older than the last three or than the eye's newest
+                picture; an eye submitted twice or without a camera in the frame; a picture of another size, kind or
+                context; a `GpuImage` of another pose; metres in a depth format; an inset before the eye's picture, of
+                another pose, outside the picture before it, or not sharper; or dictionaries of other eyes. If only the
+                right eye's picture is refused, the left eye has been submitted.
         """
         handle = self._handle(frame)
         check_stored(stored, stored_colour, rows)
@@ -252,7 +252,7 @@ class Compositor:
         stored_colour: StoredColour = PREMULTIPLIED,
         rows: Rows | None = None,
     ) -> None:
-        """Show a flat picture over all else, from the next `compose` on, until its layer is replaced or removed.
+        """Show a flat picture on top, from the next `compose` on, until its layer is replaced or removed.
 
         Args:
             picture: an array (height, width, 3 or 4), or a texture (ModernGL's, its OpenGL name, or a
@@ -260,12 +260,12 @@ class Compositor:
             layer: 0 to 3; higher layers are composited over lower ones, whatever their distance.
             size_m: (width, height) of the quad.
             world_from_quad: (4, 4) pose of its middle in the world: x right, y up, seen from +z.
-            device_from_quad: or in the device frame, for one that moves with the head.
-            eyes: which eyes show it, all if None.
-            stored_colour, rows: as `submit`, but premultiplied with alpha if left out.
+            device_from_quad: alternatively its pose in the device frame, for a quad that moves with the head.
+            eyes: eyes that show it, all if None.
+            stored_colour, rows: as for `submit`, but premultiplied with alpha by default.
 
         Raises:
-            BadInputError: not one of the two poses or an invalid one, or a picture of another kind or context.
+            BadInputError: not exactly one of the two poses, an invalid pose, or a picture of another kind or context.
         """
         self._check_alive()
         chosen = checked_eyes(eyes, self.eyes)
@@ -296,20 +296,20 @@ class Compositor:
 
         Args:
             into: a framebuffer, ModernGL's or its OpenGL number, of the display's size, or by eye; for two eyes also
-                one of twice the width, the left eye to the left. Its first colour attachment is drawn to, upright
-                as OpenGL shows it, with the panel's codes whatever its format. 0 is the window's framebuffer, whose
-                size is not checked. Textures of the compositor if None.
-            eyes: which eyes to compose, all if None.
+                one of twice the width, the left eye to the left. Its first colour attachment is drawn to, upright as
+                OpenGL shows it, with the panel's codes whatever its format. 0 is the window's framebuffer, and its size
+                is not checked. By default, textures of the compositor.
+            eyes: eyes to compose, all if None.
             pose: (4, 4) newest world_from_device, when the first row lights up; if None the pose of the newest
-                `begin_frame`, also for pictures of newer `locate_views`.
+                `begin_frame`, even for pictures from a newer `locate_views`.
             viewpoint: newest viewpoints; eyes that are not named keep the viewpoint of the newest `begin_frame`.
             pose_at_last_row: for a display that lights up row by row, the head's pose when the last row lights up.
             scan: "down" if the top row lights up first, "up" if the bottom row does.
-            time_s, predict_s: as `locate_views`; `pose` is needed with them, and `pose_at_last_row` is not predicted.
-            with_source: also make the pull map, `WarpedImage.source`, where there is no `into`.
+            time_s, predict_s: as for `locate_views`; they require `pose`, and `pose_at_last_row` is not predicted.
+            with_source: True to add the pull map, `WarpedImage.source`, for eyes without `into`.
 
         Raises:
-            BadInputError: no frame begun, an eye that was never submitted, a faulty pose, viewpoint or time, or a
+            BadInputError: no frame was begun, an eye that was never submitted, a faulty pose, viewpoint or time, or a
                 framebuffer of another size, kind or context.
         """
         newest_frame, with_source = self._handle(None), checked_flag(with_source, "with_source")
@@ -343,12 +343,13 @@ class Compositor:
         return ComposedFrame(composed, {eye: viewpoints[eye] for eye in chosen}, newest, reading)
 
     def prepare(self, overlays: int = 1, insets: bool = False) -> None:
-        """Compile all shaders, so that no frame has to: draws once in every mode, which can take a few seconds.
+        """Compile all shaders before the first frame: draws once in every mode, which can take a few seconds.
 
         The small shader of pictures from array textures is compiled when the first one is submitted.
 
         Args:
-            overlays: the most overlays that an eye will show at once, 0 to 4; with any, further shaders are compiled.
+            overlays: largest number of overlays that an eye will show at once, 0 to 4; above 0, further shaders are
+                compiled.
             insets: whether insets will be submitted.
 
         Raises:
@@ -366,8 +367,8 @@ class Compositor:
     def release(self) -> None:
         """Free all GPU objects and the compositor's context; no frames can be composed afterwards.
 
-        The context of a "clean" host must be current on this thread: otherwise nothing is freed, with a RuntimeWarning,
-        and it may be called again.
+        The context of a "clean" host must be current on this thread: otherwise nothing is freed, a RuntimeWarning is
+        issued, and `release` may be called again.
         """
         if not self._released and self._backend.release():
             self._released = True
@@ -383,7 +384,7 @@ class Compositor:
         self.release()
 
     def __del__(self) -> None:
-        # OpenGL is left alone: Python may call this on any thread, with any context current.
+        # No OpenGL calls here: Python may call this on any thread, with any context current.
         if not getattr(self, "_released", True) and not self._backend.is_shared:
             message = "a Compositor was not released: call release() or use `with`."
             warnings.warn(message, ResourceWarning, stacklevel=stacklevel_of_caller(), source=self)

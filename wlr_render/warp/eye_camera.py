@@ -1,4 +1,4 @@
-"""The camera that an engine draws one eye's intermediate image with, in OpenGL's and OpenXR's terms."""
+"""The camera with which an engine draws one eye's intermediate image, in OpenGL's and OpenXR's terms."""
 
 from dataclasses import dataclass
 
@@ -17,13 +17,13 @@ from wlr_render.warp.view import View
 class EyeCamera:
     """The camera of one eye's intermediate image in one frame: OpenGL's, looking along -z, x right, y up.
 
-    By default it is not at the pupil but at the apparent origin of the rays that reach the pupil, bent by the combiner
+    By default its position is not the pupil but the apparent origin of the rays that the combiner bends to the pupil
     (`warp/raster_camera.py`): occlusions are then nearly the same as for the eye.
 
     Attributes:
         eye: "left" or "right".
-        view: the same as our own renderers take it.
-        viewpoint: (3,) pupil that it was located for, in the device frame, metres.
+        view: the same camera, as our own renderers take it.
+        viewpoint: (3,) pupil for which it was located, in the device frame, metres.
     """
 
     eye: str
@@ -54,12 +54,12 @@ class EyeCamera:
 
     @property
     def position(self) -> FloatArray:
-        """(3,) place in the world, metres: `position` of XrView's pose; read-only."""
+        """(3,) position in the world, metres: `position` of XrView's pose; read-only."""
         return self.view.position_in_world
 
     @property
     def orientation_xyzw(self) -> FloatArray:
-        """(4,) unit quaternion x, y, z, w of the turn from the camera to the world: `orientation` of XrView's pose."""
+        """(4,) unit quaternion x, y, z, w of the rotation from camera to world: `orientation` of XrView's pose."""
         return np.asarray(scipy.spatial.transform.Rotation.from_matrix(self.world_from_camera[:3, :3]).as_quat())
 
     @property
@@ -79,12 +79,12 @@ class EyeCamera:
         It has this camera's pose, so that one view matrix serves for both.
 
         Args:
-            fov_rad: angles of the left, right, upper and lower border, as `fov_rad`. The inset changes to the picture
-                around it within a tenth of its shorter side.
+            fov_rad: angles of the left, right, upper and lower border, as `fov_rad`. The inset blends into the picture
+                around it over a tenth of its shorter side.
             size_px: (width, height) of the inset.
 
         Raises:
-            BadInputError: no such angles or size, a field that is not within this one, or no sharper than it.
+            BadInputError: invalid angles or size, a field of view not within this one, or an inset that is not sharper.
         """
         width, height = checked_size(size_px)
         left, right, up, down = np.tan(checked_fov(fov_rad))
@@ -95,15 +95,15 @@ class EyeCamera:
         return EyeCamera(self.eye, inset, self.viewpoint)
 
     def projection(self, near_m: float, far_m: float = np.inf, zero_to_one: bool = False) -> FloatArray:
-        """(4, 4) clip space from the camera frame; OpenGL takes its transpose.
+        """Return the matrix (4, 4) from the camera frame to clip space; OpenGL takes its transpose.
 
         An off-axis frustum (OpenGL 4.6, compatibility profile, 12.1.3 "glFrustum"), or its limit for a plane that is
         infinitely far. A depth buffer then is `StoredDepth(DepthKind.WINDOW, near_m, far_m)`.
 
         Args:
             near_m: distance that the depth buffer stores as 0.
-            far_m: that it stores as 1; nearer than `near_m` for a reversed buffer.
-            zero_to_one: whether clip space has depths from 0 to 1, as after glClipControl, in Vulkan and in Direct3D;
+            far_m: distance that it stores as 1; nearer than `near_m` for a reversed buffer.
+            zero_to_one: True if clip space has depths from 0 to 1, as after glClipControl, in Vulkan and in Direct3D;
                 else from -1 to 1.
 
         Raises:

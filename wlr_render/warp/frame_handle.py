@@ -17,9 +17,9 @@ from wlr_render.warp.checks import checked_number, nearest_in_reach
 from wlr_render.warp.eye_camera import EyeCamera
 
 HISTORY = 3
-"""Frames that may be drawn at the same time: pictures of older ones are refused."""
+"""Number of frames that may be drawn at the same time: pictures of older frames are refused."""
 Scan = Literal["down", "up"]
-"""Order in which the rows of a display light up: the top one first, or the bottom one."""
+"""Order in which the rows of a display light up: top row first, or bottom row first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,22 +27,22 @@ class FrameHandle(Mapping[str, EyeCamera]):
     """A frame from `Compositor.begin_frame`: the camera to draw with, by eye.
 
     Attributes:
-        number: of the frame, from 1.
-        cameras: by eye.
-        submitted: the eyes whose pictures have been submitted.
+        number: number of the frame, from 1.
+        cameras: cameras by eye.
+        submitted: eyes with a submitted picture.
     """
 
     number: int
     cameras: Mapping[str, EyeCamera]
     submitted: set[str] = field(default_factory=set)
 
-    # Mapping compares by content; a frame is itself alone, and may be a key of a dictionary.
+    # Mapping compares by content; a frame compares by identity, and may be a key of a dictionary.
     __eq__ = object.__eq__
     __hash__ = object.__hash__
 
     @property
     def world_from_device(self) -> FloatArray:
-        """(4, 4) head pose that it was begun for."""
+        """(4, 4) head pose for which it was begun."""
         return next(iter(self.cameras.values())).view.world_from_device
 
     @property
@@ -73,7 +73,7 @@ class FrameHistory:
         self.shown: dict[str, FrameHandle] = {}
         self.drawn: dict[str, EyeCamera] = {}
         self.viewpoints: dict[str, FloatArray] = {}
-        self._frames: list[FrameHandle] = []  # the newest last
+        self._frames: list[FrameHandle] = []  # newest last
         self._not_copied: dict[str, Any] = {}
         self._count = 0
 
@@ -132,7 +132,7 @@ class FrameHistory:
         """Check that an inset belongs to the picture of a frame that its eye shows.
 
         Raises:
-            BadInputError: the eye shows another frame, or its picture was drawn from elsewhere.
+            BadInputError: the eye shows another frame, or its picture was drawn from another pose.
         """
         eye = inset.eye
         if self.shown.get(eye) is not handle:
@@ -144,7 +144,7 @@ class FrameHistory:
             )
 
     def submitted(self, handle: FrameHandle, camera: EyeCamera, not_copied: Any) -> None:
-        """Record that an eye shows the picture of a frame, drawn with a camera; arguments as in `check_order`."""
+        """Record that an eye shows the picture of a frame, drawn with a camera; for the arguments see `check_order`."""
         handle.submitted.add(camera.eye)
         self.shown[camera.eye], self.drawn[camera.eye] = handle, camera
         self._not_copied[camera.eye] = not_copied
@@ -163,16 +163,16 @@ class _Samples:
         replaced = at < len(self._times_s) and self._times_s[at] == time_s
         self._times_s[at : at + replaced], self._values[at : at + replaced] = [time_s], [value]
         before = (self._times_s[at - 1], self._values[at - 1]) if at else None
-        # A call may come by LONGEST_S late, and is then predicted from a sample that is as much older.
+        # A call may be LONGEST_S late, and is then predicted from a sample up to LONGEST_S older.
         old = bisect.bisect_left(self._times_s, self._times_s[-1] - 2 * LONGEST_S)
         del self._times_s[:old], self._values[:old]
         return before
 
 
 class MotionPredictor:
-    """Predicts head pose and pupils from two samples that came with a time, at constant velocity.
+    """Predicts head pose and pupils from two samples with time stamps, at constant velocity.
 
-    Head and pupils have separate samples: a call without a pupil does not change its prediction. An engine may
+    Head and pupils have separate samples: a call without a pupil leaves the pupil's prediction unchanged. An engine may
     begin a frame with a pose that is older than the pose that the last frame was composed for.
     """
 
@@ -191,7 +191,7 @@ class MotionPredictor:
         time_s: float | None,
         predict_s: float,
     ) -> tuple[FloatArray, dict[str, FloatArray]]:
-        """Pose (4, 4) and viewpoints (3,) by eye, `predict_s` after `time_s`.
+        """Return the pose (4, 4) and viewpoints (3,) by eye, `predict_s` after `time_s`.
 
         Each is unchanged if `predict_s` is 0, or if its sample before `time_s` is more than 100 ms older or missing.
 
@@ -205,7 +205,7 @@ class MotionPredictor:
                 raise BadInputError("predict_s needs time_s, the time of the pose in seconds; give both.")
             return world_from_device, dict(viewpoints)
         now = checked_number(time_s, "time_s", -1e12, 1e12)
-        with self._in_use:  # one thread may begin a frame while another one composes
+        with self._in_use:  # one thread may begin a frame while another composes
             return self._moved(world_from_device, viewpoints, now, ahead_s)
 
     def _moved(
@@ -236,11 +236,11 @@ def _is_usable(between_s: float, ahead_s: float) -> bool:
 
 
 def row_poses(first: FloatArray, last: FloatArray, height_px: int, grid_rows: int, scan: Scan = "down") -> FloatArray:
-    """Head poses at the rows of a warp grid, (grid_rows, 4, 4) from the display's top edge to its bottom edge.
+    """Return head poses at the rows of a warp grid, (grid_rows, 4, 4) from the display's top edge to its bottom edge.
 
-    `first` (4, 4) is the pose when the first pixel row lights up, the bottom one with "up"; `last` that of the last.
-    The rows light up at equal intervals, and the head moves at constant speed meanwhile, also over the half pixels
-    between the centres of the outermost rows and the edges.
+    `first` and `last` (4, 4) are the poses when the first and the last pixel row light up; with "up" the bottom row is
+    first. The rows light up at equal intervals, and the head moves at constant speed meanwhile, also over the half
+    pixels between the centres of the outermost rows and the edges.
     """
     pixel_row = np.linspace(0, height_px, grid_rows) - 0.5
     poses = transforms.between(first, last, pixel_row / max(height_px - 1, 1))

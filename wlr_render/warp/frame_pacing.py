@@ -1,4 +1,4 @@
-"""Pacing of frames: when a program begins a frame, so that it is finished just before the display shows it.
+"""Pacing of frames: times to begin a frame so that it is finished just before the display shows it.
 
 A frame that begins too early is drawn for an old pose; one that begins too late misses its beat.
 """
@@ -13,9 +13,9 @@ from wlr_render.geometry.pose_prediction import LONGEST_S
 from wlr_render.warp.checks import checked_number
 
 _REMEMBERED = 16
-"""Frames whose durations are planned with; the second longest counts, so that a single hitch does not."""
+"""Number of frames whose second-longest duration is planned for, so that a single hitch has no effect."""
 _GAIN = 0.1
-"""Share of the difference to a reported beat by which beats are moved, for each beat since: jitter averages out."""
+"""Share of the difference to a reported beat by which beats are moved, per beat since then: jitter averages out."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class FrameTimes:
     """Times of one frame, in seconds of the pacer's clock.
 
     Attributes:
-        begin_s: when to read the trackers and call `Compositor.begin_frame`.
-        display_s: the beat at which it is shown.
+        begin_s: time to read the trackers and call `Compositor.begin_frame`.
+        display_s: beat at which the frame is shown.
     """
 
     begin_s: float
@@ -32,7 +32,7 @@ class FrameTimes:
 
     @property
     def ahead_s(self) -> float:
-        """Time from the beginning to the display: `predict_s` of `Compositor.begin_frame`, so 0.1 s at most."""
+        """Time from the beginning to the display, at most 0.1 s: `predict_s` of `Compositor.begin_frame`."""
         return min(self.display_s - self.begin_s, LONGEST_S)
 
 
@@ -40,7 +40,7 @@ class FramePacer:
     """Plans frames for a display that shows pictures at regular beats; one thread may use it at a time.
 
     A program that cannot keep the beat is paced at every second beat, or third: let another thread compose at each,
-    and hand the times of its scan-outs to the thread of the pacer (docs/realtime.md). A runtime of OpenXR paces its
+    and pass the times of its scan-outs to the pacer's thread (docs/realtime.md). A runtime of OpenXR paces its
     programs in xrWaitFrame.
     """
 
@@ -49,8 +49,8 @@ class FramePacer:
 
         Args:
             period_s: 1e-3 to 1 s.
-            margin_s: time that a frame shall be finished before its beat, 0 to a period.
-            clock: seconds, as of all times here.
+            margin_s: time by which a frame should be finished before its beat, 0 to a period.
+            clock: function that returns the time in seconds, the clock of all times here.
 
         Raises:
             BadInputError: numbers outside these ranges.
@@ -62,7 +62,7 @@ class FramePacer:
         self._frame: FrameTimes | None = None
 
     def shown(self, at_s: float) -> None:
-        """Report a beat that has been: the time of a scan-out's first row, as often as it is known."""
+        """Report a past beat: the time of a scan-out's first row, whenever it is known."""
         at_s = checked_number(at_s, "at_s", -math.inf, math.inf)
         beats = round((at_s - self._beat_s) / self._period_s)
         off_s = at_s - (self._beat_s + beats * self._period_s)
@@ -70,7 +70,7 @@ class FramePacer:
         self._is_reported = True
 
     def next_frame(self) -> FrameTimes:
-        """Plan the next frame, for the first beat after the last frame's that can still be reached.
+        """Plan the next frame, for the first reachable beat after the last frame's.
 
         Sleep until its `begin_s`, and call `finished` when its pictures are submitted.
         """
@@ -83,5 +83,5 @@ class FramePacer:
         return self._frame
 
     def finished(self, frame: FrameTimes) -> None:
-        """Report that a frame's pictures are submitted now; its duration counts for the next ones."""
+        """Report that a frame's pictures are now submitted; its duration counts for later frames."""
         self._durations_s.append(max(self._clock() - frame.begin_s, 0.0))

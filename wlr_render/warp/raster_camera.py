@@ -181,7 +181,7 @@ def minification_over_eye_box(
     """`largest_minification` of an eye's ray maps at the centre of the eye box and at its nearest and farthest corners.
 
     Args:
-        mappings: any pair.
+        mappings: any display and see-through mappings.
         device_from_camera: (3, 3) axes of the camera.
         camera: of the image.
         size_px: (width, height) of the display picture.

@@ -196,7 +196,7 @@ def solve_every_pixel(
     """Solve every pixel, which takes minutes: for a reference, or where the nodes have holes.
 
     Args:
-        mappings: any pair.
+        mappings: any display and see-through mappings.
         viewpoint: (3,) device frame.
         device_from_camera: (3, 3) axes in which tangents are taken.
         pixel: (height, width, 2), all pixel centres if None.
@@ -219,7 +219,7 @@ def ray_map(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, warm_start: 
     Where a node has no answer the polynomial through the nodes means nothing; then every warp grid point is solved.
 
     Args:
-        mappings: any pair, with the plan's panel.
+        mappings: any display and see-through mappings, with the plan's panel.
         viewpoint: (3,) device frame.
         plan: from `choose_plan`.
         warm_start: of the last frame's ray map with this plan.
@@ -302,7 +302,7 @@ def ray_map_error_px(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, pix
     """Error of the interpolated ray map at some pixels against the exact solve there, in display pixels.
 
     Args:
-        mappings: any pair.
+        mappings: any display and see-through mappings.
         viewpoint: (3,) device frame.
         plan: judged at this number of nodes.
         pixel: (n, 2) anywhere on the panel.
