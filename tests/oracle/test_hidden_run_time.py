@@ -44,27 +44,6 @@ def test_no_size_is_no_effect_and_a_size_is_one(name: str) -> None:
     assert np.nanquantile(np.abs(gap(draw_effect(name, np.random.default_rng(4), 3.0))), share) > 0.3
 
 
-def test_a_gaze_moves_the_pupil_as_a_bias_of_its_own() -> None:
-    gaze = see().motion.gaze
-    moved = gap(Effect("gaze_pupil_shift", {"radius_mm": 8.0}))
-    for row in np.flatnonzero(np.isfinite(moved[:, 0]))[:6]:
-        x, y, z = 8.0 * (gaze[row] - [0.0, 0.0, 1.0])
-        biased = gap(Effect("eye_position_bias", {"x_mm": x, "y_mm": y, "z_mm": z}))
-        np.testing.assert_allclose(moved[row], biased[row], rtol=0, atol=1e-6)
-
-
-def test_a_row_is_as_late_as_a_latency_of_its_own() -> None:
-    scanned = gap(Effect("rolling_scanout", {"duration_ms": 12.0}))
-    latency = [gap(Effect("latency", {"latency_ms": ms})) for ms in (0.0, 6.0, 12.0)]
-    seen = np.isfinite(scanned).all(axis=1) & (np.linalg.norm(latency[2], axis=1) > 1.0)
-    # Nearly linear in time, so that each row's share of the whole delay is its height on the panel.
-    share = np.sum(scanned * latency[2], axis=1)[seen] / np.sum(latency[2] ** 2, axis=1)[seen]
-    assert np.all((share > 0.0) & (share < 1.0))
-    assert np.ptp(share) > 0.5
-    half = np.sum(latency[1] * latency[2], axis=1)[seen] / np.sum(latency[2] ** 2, axis=1)[seen]
-    np.testing.assert_allclose(half, 0.5, atol=0.02)
-
-
 def test_a_row_of_the_camera_is_as_late_as_a_latency_of_its_own() -> None:
     duration_ms = 12.0
     rolled, clean = gap(Effect("camera_shutter", {"duration_ms": duration_ms})), see()
@@ -96,32 +75,12 @@ def test_a_hinge_turns_the_picture_by_gravity_and_leaves_the_real_dot() -> None:
     assert np.ptp(expected[seen]) > 1.0
 
 
-def test_the_real_dot_moves_as_the_head_turns_and_the_virtual_one_stays() -> None:
-    """To first order, and to a few percent: a combiner bends rays little."""
-    late_s = 2e-3
-    before, after = see(), see(Effect("latency", {"latency_ms": 1e3 * late_s}))
-    np.testing.assert_allclose(after.virtual, before.virtual, rtol=0, atol=1e-6)
-    motion = before.motion
-    dot, rate, velocity = (
-        np.einsum("nji,nj->ni", motion.axes, each) for each in (motion.dot - motion.place, motion.rate, motion.velocity)
-    )
-    later = dot - late_s * (np.cross(rate, dot) + velocity)
-    first, second = (
-        CAMERA_FOCAL_PX * (d[:, :2] / d[:, 2:]) for d in (dot - motion.viewpoint, later - motion.viewpoint)
-    )
-    miss = np.linalg.norm(after.real - before.real - (second - first), axis=1)
-    assert np.nanmax(miss / np.linalg.norm(second - first, axis=1)) < 0.08
-
-
 @pytest.mark.parametrize("device", NAMES)
-@pytest.mark.parametrize("name", [None, *LISTED_AT_RUN_TIME, *UNLISTED_AT_RUN_TIME])
-def test_the_package_reads_what_is_written_and_sees_the_effect(tmp_path: Path, device: str, name: str | None) -> None:
-    effects = [draw_effect(name, np.random.default_rng(2), 4.0)] if name else []
+def test_the_package_reads_what_is_written_and_predicts_it(tmp_path: Path, device: str) -> None:
     plan = RunTimePlan(device, recordings=6, moments=40, sigma_px=0.1)
-    write_run_time_session(tmp_path, plan, effects, np.random.default_rng(1))
+    write_run_time_session(tmp_path, plan, [], np.random.default_rng(1))
     nominal, session = load_session(tmp_path)
     observations = Predictor.of_session(nominal, session).observations
     residual = observations.residual(simulate(nominal, observations.session.plan))
-    rms = np.sqrt(np.mean(residual**2))
     assert len(residual) > 100
-    assert rms == pytest.approx(1.0, abs=0.1) if name is None else rms > 1.5
+    assert np.sqrt(np.mean(residual**2)) == pytest.approx(1.0, abs=0.1)
