@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnosis import small_session as sessions
 from diagnosis.small_session import (
     SIGMA_PX,
     diagnosed,
@@ -11,10 +12,9 @@ from diagnosis.small_session import (
     run_time_plan,
     small_bench,
     small_plan,
-    with_moved_capture,
 )
+from memo import memoised, shared_folder
 from numpy.typing import NDArray
-from present import present
 
 from wlr_render.bench.bench import Bench
 from wlr_render.captures.session import SessionPlan
@@ -59,20 +59,15 @@ def everything(clean: Observations) -> NDArray[Any]:
 
 
 @pytest.fixture(scope="session")
-def explained(bench: Bench, plan: SessionPlan) -> Diagnosis:
+def explained(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
     """Diagnosis of a session with a tilted combiner, a target printed too large, and a display capture that moved."""
-    truth = {"combiner_tilt": [0.3, -0.2, 0.3], "target_scale": [0.3, 0.3]}
-    observations = with_moved_capture(measured(bench, plan, SIGMA_PX, seed=4, **truth), bench, 3)
-    return diagnosed(observations, ("combiner_tilt", "target_scale", "tracking_translation", "panel_shift"))
+    return memoised(sessions.explained, shared_folder(tmp_path_factory))()
 
 
 @pytest.fixture(scope="session")
-def located(bench: Bench, plan: SessionPlan) -> Diagnosis:
+def located(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
     """Diagnosis of a session whose panel is bent in waves, and whose noise is twice what is stated."""
-    observations = measured(bench, plan, 2 * SIGMA_PX, seed=5)
-    read = observations.session.readings
-    present(read.panel_pixel)[:, 0] += 4.0 * np.sin(2 * np.pi * present(read.panel_pixel)[:, 0] / 500)
-    return diagnosed(observations, ("target_scale", "stage_scale"))
+    return memoised(sessions.located, shared_folder(tmp_path_factory))()
 
 
 @pytest.fixture(scope="session")

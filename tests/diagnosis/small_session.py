@@ -209,3 +209,20 @@ def diagnosed(observations: Observations, names: tuple[str, ...]) -> Diagnosis:
     """A whole diagnosis with a few causes, so that it is quick."""
     causes = {name: CAUSES[name] for name in names}
     return diagnose(observations.nominal, observations.session, causes=causes, settings=Settings(subsample=1200))
+
+
+def explained() -> Diagnosis:
+    """Diagnose a session with a tilted combiner, a target printed too large, and a display capture that moved."""
+    bench = small_bench()
+    truth = {"combiner_tilt": [0.3, -0.2, 0.3], "target_scale": [0.3, 0.3]}
+    observations = with_moved_capture(measured(bench, small_plan(bench), SIGMA_PX, seed=4, **truth), bench, 3)
+    return diagnosed(observations, ("combiner_tilt", "target_scale", "tracking_translation", "panel_shift"))
+
+
+def located() -> Diagnosis:
+    """Diagnose a session whose panel is bent in waves, and whose noise is twice what is stated."""
+    bench = small_bench()
+    observations = measured(bench, small_plan(bench), 2 * SIGMA_PX, seed=5)
+    read = observations.session.readings
+    present(read.panel_pixel)[:, 0] += 4.0 * np.sin(2 * np.pi * present(read.panel_pixel)[:, 0] / 500)
+    return diagnosed(observations, ("target_scale", "stage_scale"))

@@ -15,7 +15,7 @@ from wlr_render.geometry.transforms import rigid
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 
-CAPTURES, ROWS = 36, 60
+CAPTURES, ROWS = 25, 40
 SIGMA_PX = 0.1
 NOISE_ARCMIN = np.sqrt(2) * SIGMA_PX / 1350 * 60 * np.rad2deg(1)
 
@@ -77,24 +77,17 @@ def test_a_stage_that_went_too_far_spoils_models_without_their_knowing(nominal: 
     assert found.unavailable == ()
 
 
-def test_models_by_the_true_bench_are_down_to_the_noise(nominal: Bench, plan: SessionPlan) -> None:
-    found = improvement_in_use(nominal, nominal, measured(nominal, plan))
-    assert 0.9 * NOISE_ARCMIN < present(found.see_through).after < 1.1 * NOISE_ARCMIN
-    assert present(found.display).after < 1.5 * NOISE_ARCMIN
-    for rendered in (found.calibrated, found.prescribed):
-        assert rendered is not None
-        assert rendered.before == rendered.after
-        assert rendered.after.median < 0.5 * NOISE_ARCMIN
-
-
 def test_a_turned_combiner_is_absorbed_by_models_and_spoils_the_prescription(nominal: Bench, plan: SessionPlan) -> None:
     turn = Rotation.from_rotvec([np.deg2rad(0.3), 0, 0]).as_matrix()
     pivot = nominal.optics.eye_box.centre
     true = moved_surfaces(nominal, rigid(turn, pivot - turn @ pivot))
     found = improvement_in_use(nominal, true, measured(true, plan))
     assert present(found.display).improvement.percent == 0.0
+    assert present(found.display).after < 1.5 * NOISE_ARCMIN
+    assert 0.9 * NOISE_ARCMIN < present(found.see_through).after < 1.1 * NOISE_ARCMIN
     assert found.calibrated is not None
     assert found.calibrated.before == found.calibrated.after
+    assert found.calibrated.after.median < 0.5 * NOISE_ARCMIN
     assert found.prescribed is not None
     assert found.prescribed.before.median > 10
     assert found.prescribed.after.median < 0.5 * NOISE_ARCMIN
@@ -115,7 +108,8 @@ def test_points_tracked_at_an_angle_are_missed_by_that_angle(nominal: Bench, pla
 def test_what_a_session_does_not_have_is_named_and_left_out(
     nominal: Bench, plan: SessionPlan, missing: str, table: str
 ) -> None:
-    part = replace(plan, **{missing: None})
+    few = {name: select_rows(rows, rows.capture < 9) for name, rows in vars(plan).items() if rows is not None}
+    part = SessionPlan(**few | {missing: None})
     found = improvement_in_use(nominal, nominal, Session("night", part, simulate(nominal, part)))
     assert getattr(found, missing) is None
     assert (found.display is None) != (found.see_through is None)
