@@ -16,7 +16,7 @@ from wlr_render.simulation import viewpoints
 SeeThroughRays = Literal["backward", "forward"]
 CaptureSampling = Literal["planar", "volumetric", "static"]
 LEAST_SIGMA_ARCMIN = 1e-3
-"""Sigma that captures state for a noiseless camera on a stage with errors: 0 would state exact camera positions."""
+"""Sigma stated for a noiseless camera on a stage with errors, because 0 would mean exact camera positions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class CaptureSetup:
             in every visit; None for none.
         camera_field: photographed part of the display's field, sampled by a grid of camera pixels; None for the whole
             field, sampled by a grid of panel pixels.
-        grid: columns and rows of the pixels that are decoded at each position, and of the dots on each target.
+        grid: columns and rows of the pixels decoded at each position, and of the dots on each target.
         target_depths_m: depths of the flat targets in front of the eye box, at least two different ones.
         see_through_rays: "backward" solves for the direction of each dot, as in a photograph of a target.
             "forward" traces a grid of camera pixels through the optics to the target planes (paper: section 4.3):
@@ -72,7 +72,7 @@ class CaptureSetup:
             )
 
     def camera_positions(self, kind: str, count: int) -> FloatArray:
-        """Return camera positions (count, 3) for a model type: volumetric, static (one), or else in the base plane."""
+        """Return camera positions (count, 3): "volumetric" in the eye box, "static" one, any other `kind` planar."""
         box = self.truth.eye_box
         if kind == "static":
             return viewpoints.nominal(box)
@@ -84,7 +84,7 @@ class CaptureSetup:
 
     @property
     def stated_sigma_arcmin(self) -> float:
-        """Sigma of a measured direction that captures state; 0 only for exact ones."""
+        """Sigma of measured directions that captures state; 0 only for exact directions."""
         has_stage_errors = self.stage_error_m > 0 or self.stage_turn_rad > 0 or self.stage_curve is not None
         return self.camera_noise_arcmin or (LEAST_SIGMA_ARCMIN if has_stage_errors else 0.0)
 
@@ -110,11 +110,11 @@ class CaptureSetup:
         return FieldOfView(np.nanmin(tangents, axis=0), np.nanmax(tangents, axis=0))
 
     def camera_dirs(self) -> FloatArray:
-        """Return the directions of the decoded camera pixels, (n, 3), from edge to edge of the field."""
+        """Return the directions (n, 3) of the decoded camera pixels, from edge to edge of the field."""
         return self.field.directions(*self.grid)
 
     def dots(self, depth_m: float, viewpoint: FloatArray) -> FloatArray:
-        """Return the dots of a flat target, (n, 3) device frame, that fill the field from all viewpoints (m, 3)."""
+        """Return the dots (n, 3) of a flat target that fills the field from all viewpoints (m, 3), device frame."""
         low = viewpoint[:, :2].min(axis=0) + depth_m * self.field.low
         high = viewpoint[:, :2].max(axis=0) + depth_m * self.field.high
         x, y = np.meshgrid(*(np.linspace(low[axis], high[axis], self.grid[axis]) for axis in (0, 1)))

@@ -9,12 +9,12 @@ from wlr_render.geometry.transforms import inverse
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.simulation.photographs.printed_board import PrintedBoard
 
-_BOW_STEPS = 3  # iterations of the intersection with a bowed board; each reduces the error a hundredfold
+_BOW_STEPS = 3  # iterations for the intersection with a bowed board; each reduces the error a hundredfold
 
 
 @dataclass(frozen=True)
 class FarWall:
-    """A background at infinity: smooth patches, lighter and darker than their mean, that depend on direction only.
+    """A background at infinity of smooth light and dark patches, which depend only on direction.
 
     Attributes:
         brightness: mean brightness.
@@ -35,15 +35,15 @@ class FarWall:
 
 @dataclass(frozen=True, eq=False)
 class BoardLight:
-    """Radiance of a dot board before a background, for `CameraView.world_light`.
+    """Radiance of a dot board in front of a background, for `CameraView.world_light`.
 
     Attributes:
         board: the board, flat and exact, or as printed.
-        frame_from_target: (4, 4) pose of the board in the frame of the view; it is seen from its front only.
+        frame_from_target: (4, 4) pose of the board in the frame of the view; only its front is visible.
         wall: the background.
-        white: brightness of the white.
+        white: brightness of the white areas.
         black: brightness of the dots.
-        softness: width of the dots' soft edges in pixel footprints; 1 / sqrt(n) for n rays per pixel.
+        softness: width of the dots' soft edges, in pixel footprints; 1 / sqrt(n) for n rays per pixel.
     """
 
     board: Board | PrintedBoard
@@ -79,11 +79,11 @@ def _on_plane(origin: Float32Array, direction: Float32Array, depth: Float32Array
     with np.errstate(divide="ignore", invalid="ignore"):
         along = -depth / direction[..., 2]
     along[~((along > 0.0) & (direction[..., 2] > 0.0))] = np.nan
-    # Axis by axis: numpy is slow over a last axis of two.
+    # Axis by axis, because numpy is slow over a last axis of two.
     return np.stack([origin[..., axis] + along * direction[..., axis] for axis in range(2)], axis=-1)
 
 
 def _footprint(place: Float32Array) -> Float32Array:
-    """Return the width (h, w) of a camera pixel on the board, metres, from positions (h, w, 2): root of its area."""
+    """Return the width (h, w) of a camera pixel on the board, metres: root of its area, from positions (h, w, 2)."""
     (x_down, x_right), (y_down, y_right) = np.gradient(place[..., 0]), np.gradient(place[..., 1])
     return np.asarray(np.sqrt(np.abs(x_right * y_down - y_right * x_down)))

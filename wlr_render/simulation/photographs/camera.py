@@ -23,13 +23,14 @@ _CANDIDATES = 2000  # candidate sample sets; the most uniform one is used
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLens:
-    """A camera with an entrance pupil of finite size: sharp in one plane only.
+    """A camera with an entrance pupil of finite size, which is sharp in only one plane.
 
     Attributes:
         camera: projection of the rays through the middle of the pupil.
         pupil_diameter_m: diameter of the entrance pupil; 0 for a pinhole.
         focus_m: depth of the plane in focus; infinite for a lens set to infinity.
-        workshop: errors of the second family: a residual distortion, and a pupil that moves with the field angle.
+        workshop: errors of the second family, i.e. a residual distortion and a pupil that moves with the field angle;
+            None without.
 
     Raises:
         BadInputError: a negative pupil, or a focus that is not in front of the lens.
@@ -53,7 +54,7 @@ class SimulatedLens:
         All rays of an image point meet where the ray through the middle of the pupil crosses the plane in focus.
 
         Args:
-            pixel: (..., 2).
+            pixel: (..., 2) image points, pixels.
             pupil_point: (2,) x and y of the point in the pupil, metres.
         """
         origin = np.array([*pupil_point, 0.0])
@@ -67,9 +68,9 @@ class SimulatedLens:
         return rays.pack(origin, normalised(forward))
 
     def samples(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return the samples in the pixel and in the pupil, the same for all pixels.
+        """Return the samples in pixel and pupil, which are the same for all pixels.
 
-        Both are centred exactly, so that the number of samples does not move a picture.
+        Both sets are exactly centred, so that the number of samples does not shift the picture.
 
         Returns:
             Offsets from a pixel's centre (count, 2) in pixels, and the pupil points (count, 2) in metres.
@@ -80,7 +81,7 @@ class SimulatedLens:
 
 @lru_cache
 def _even_samples(count: int) -> FloatArray:
-    """Return the points (count, 4) of the cube -0.5..0.5, symmetric about 0, every axis stratified.
+    """Return points (count, 4) in the cube -0.5..0.5, symmetric about 0 and stratified along every axis.
 
     The result is the Latin hypercube with the least centred discrepancy among many: F. J. Hickernell, "A generalized
     discrepancy and quadrature error bound", Math. Comp. 67 (1998) 299.
@@ -122,8 +123,8 @@ class Sensor:
         vignetting: fraction of light lost in the corners; the loss grows with the square of the distance from the
             middle.
         gamma: grey values are the signal to the power of 1 / gamma.
-        black_clip: part of full scale subtracted from the signal: a black level that is too low, so that dark pixels
-            are clipped to 0.
+        black_clip: share of full scale subtracted from the signal, as by a black level that is too low; dark pixels are
+            clipped to 0.
 
     Raises:
         BadInputError: a value is impossible for a sensor.
@@ -150,7 +151,7 @@ class Sensor:
     def with_snr(
         cls, snr: float, bits: int = 8, exposure: float = 1.0, read_noise_e: float = 5.0, vignetting: float = 0.0
     ) -> "Sensor":
-        """Return a sensor with this signal-to-noise ratio for light 1 in the middle of the picture.
+        """Return a sensor with signal-to-noise ratio `snr` for light 1 in the middle of the picture.
 
         A signal of N electrons has the noise sqrt(N + read noise^2); quantisation is neglected.
         """
@@ -158,9 +159,9 @@ class Sensor:
         return cls(bits, exposure, electrons / exposure, read_noise_e, vignetting)
 
     def expose(self, light: NDArray[np.floating], rng: np.random.Generator) -> Photograph:
-        """Photograph light (h, w), 0 and more, linear.
+        """Return the grey values for linear light (h, w), 0 or more.
 
-        Shot noise is drawn from the normal distribution of the same variance as Poisson's.
+        Shot noise has a normal distribution with the variance of the Poisson distribution.
         """
         signal = light * self._falloff(light.shape) * self.exposure
         noise_e = np.sqrt(signal * self.full_well_e + self.read_noise_e**2)
@@ -169,7 +170,7 @@ class Sensor:
         return np.asarray(np.rint(grey), dtype=np.uint8 if self.bits <= 8 else np.uint16)
 
     def _falloff(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """Return the remaining fraction of light in each pixel, (h, w)."""
+        """Return the fraction (h, w) of light that vignetting leaves at each pixel."""
         height, width = shape
         x = (np.arange(width, dtype=np.float32) + 0.5) / width - 0.5
         y = (np.arange(height, dtype=np.float32) + 0.5) / height - 0.5

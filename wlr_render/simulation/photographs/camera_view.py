@@ -23,14 +23,14 @@ from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.pixel_map import PixelMap
 
 Radiance = Callable[[Float32Array], NDArray[np.floating]]
-"""Rays (h, w, 6) of some rows, away from the lens, NaN without light -> brightness (h, w) of the objects they meet."""
+"""Rays (h, w, 6) of some rows, away from the lens, NaN without light -> brightness (h, w) of the objects they hit."""
 
-PANEL_GAMMA = 2.2  # of most displays, close to sRGB
-_PANEL_TOLERANCE_PX = 0.003  # error of interpolation: below what decoding reads
-_WORLD_TOLERANCE = np.array([2e-7, 2e-7, 1e-6, 1e-6])  # metres in the pupil's plane, tangents
-_ROWS = 64  # rows of the picture at a time: intermediate results stay in the processor's cache
-_OFF_PANEL = -10.0  # a position whose nearest pixels are all outside the panel
-_FARTHEST = 32_000.0  # cv2.remap indexes with 16 bits
+PANEL_GAMMA = 2.2  # gamma of most displays, close to sRGB
+_PANEL_TOLERANCE_PX = 0.003  # largest interpolation error, below the resolution of decoding
+_WORLD_TOLERANCE = np.array([2e-7, 2e-7, 1e-6, 1e-6])  # metres in the plane of the pupil, and tangents
+_ROWS = 64  # rows computed at a time, so that intermediate results stay in the processor's cache
+_OFF_PANEL = -10.0  # position far enough from the panel for its nearest pixels to be dark
+_FARTHEST = 32_000.0  # largest position, because cv2.remap has indices of 16 bits
 WAVELENGTH_UM = 0.55
 _BLUR_STEP = 16  # step between the pixels that determine the blur
 _NARROWEST_PX = 1e-3  # narrowest ramp between two panel pixels
@@ -38,14 +38,14 @@ _NARROWEST_PX = 1e-3  # narrowest ramp between two panel pixels
 
 @dataclass(frozen=True, eq=False)
 class CameraView:
-    """A lens at one pose. Made by `through_optics` or `without_headset`.
+    """View of a lens at one pose, made by `through_optics` or `without_headset`.
 
     Attributes:
         lens: the lens.
-        frame_from_camera: (4, 4) rigid; the frame is the device's through the optics, any without the headset.
+        frame_from_camera: (4, 4) camera pose, in the device frame through the optics, in any frame without the headset.
         panel: the panel; None without the headset.
-        on_panel: position on the panel of each sample, panel pixels; empty without the headset.
-        in_world: world ray of each sample: x, y in the plane z = 0 of the camera, and its two tangents there.
+        on_panel: position of each sample on the panel, panel pixels; empty without the headset.
+        in_world: world ray of each sample: x, y in the camera's plane z = 0, and two tangents, camera frame.
     """
 
     lens: SimulatedLens
@@ -93,9 +93,9 @@ class CameraView:
         return cls(lens, frame_from_camera, None, (), _maps(lens, samples, in_world, _WORLD_TOLERANCE))
 
     def panel_light(self, image: NDArray[np.uint8], gamma: float = PANEL_GAMMA) -> Float32Array:
-        """Return the light from the panel, (h, w), 1 where a white panel fills the pixel; dark without a headset.
+        """Return the light (h, w) from the panel, 1 where a white panel fills the pixel; dark without a headset.
 
-        Panel pixels are uniform squares side by side that shine by (value / 255)^gamma.
+        Panel pixels are uniform adjoining squares with brightness (value / 255)^gamma.
 
         Raises:
             BadInputError: the image is not of the panel's size.
@@ -115,7 +115,7 @@ class CameraView:
         return total / np.float32(len(self.on_panel))
 
     def world_light(self, radiance: Radiance) -> Float32Array:
-        """Return the light from the world, (h, w); dark where no ray arrives or `radiance` is NaN."""
+        """Return the light (h, w) from the world; dark where no ray arrives or `radiance` is NaN."""
         width, height = self.lens.camera.size_px
         total = np.zeros((height, width), dtype=np.float32)
         for field in self.in_world:
@@ -139,7 +139,7 @@ class CameraView:
 
     @cached_property
     def _panel_maps(self) -> list[Float32Array]:
-        """Return the maps (2, h, w) of each sample for reading the panel's image with `cv2.remap`, bilinearly."""
+        """Maps (2, h, w), one for each sample, with which `cv2.remap` samples the panel's image bilinearly."""
         places = [field.planes() for field in self.on_panel]
         blur = _panel_blur(places, [field.lit for field in self.on_panel])
         for place, field in zip(places, self.on_panel, strict=True):
@@ -162,17 +162,16 @@ def _maps(
 
 
 def _offset_and_slope(ray_in_camera: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return rays (n, 6) as x, y in the plane z = 0 and their tangents (n, 4), and a mask of forward rays."""
+    """Return x, y in the plane z = 0 and the tangents of rays, (n, 4), and a mask (n,) of forward rays."""
     forward = ray_in_camera[:, 5] > 0.0
     ray = rays.at_z(np.where(forward[:, None], ray_in_camera, np.nan), 0.0)
     return np.concatenate([ray[:, :2], ray[:, 3:5] / ray[:, 5:]], axis=-1), forward
 
 
 def _panel_blur(places: list[Float32Array], lit: list[BoolArray]) -> FloatArray:
-    """Return the panel pixels (2,) in u and v that one sample covers: the spread of all samples over sqrt(samples).
+    """Return the width (2,) of one sample in u and v, panel pixels: the spread of all samples over sqrt(samples).
 
-    A box of the standard deviation sigma is sqrt(12) sigma wide. The median over the picture serves as the single
-    value.
+    A box with standard deviation sigma is sqrt(12) sigma wide. The result is the median over the picture.
     """
     some = (slice(None, None, _BLUR_STEP), slice(None, None, _BLUR_STEP))
     everywhere = np.logical_and.reduce([one[some] for one in lit])
@@ -182,9 +181,9 @@ def _panel_blur(places: list[Float32Array], lit: list[BoolArray]) -> FloatArray:
 
 
 def _sharpen(place: Float32Array, blur: FloatArray) -> None:
-    """Convert positions on the panel (2, h, w) to OpenCV's, shifted so that a bilinear look-up shows square pixels.
+    """Convert panel positions (2, h, w) to OpenCV's, shifted so that bilinear sampling shows square pixels.
 
-    Between two pixel centres the look-up then gives one pixel's value, a ramp as wide as `blur`, and the other's value.
+    Between two pixel centres, sampling then gives one pixel's value, a ramp as wide as `blur`, and the other's value.
     """
     for axis, width in zip(place, np.clip(blur, _NARROWEST_PX, 1.0).astype(np.float32), strict=True):
         axis -= np.float32(0.5)

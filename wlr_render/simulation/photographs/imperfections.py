@@ -11,32 +11,32 @@ LensKind = Literal["brown", "rational", "thin-prism", "fisheye"]
 
 @dataclass(frozen=True)
 class BenchImperfections:
-    """Sizes of the errors of a photographic bench; signs and directions are drawn from the bench's seed.
+    """Sizes of the errors of a photographic bench, with signs and directions drawn from the bench's seed.
 
-    "rms" is the root mean square over the range of one stage axis; "random" a standard deviation.
+    "rms" is the root mean square over the range of one stage axis; "random" is a standard deviation.
 
     Attributes:
-        turn_urad: rms pitch, yaw and roll (each) of the carriage along each stage axis, cubic curves of it.
+        turn_urad: rms pitch, yaw and roll (each) of the carriage along each stage axis, as cubic curves.
         turn_jitter_urad: random rotation of each visit, per axis.
         straightness_um: rms departure from a straight line along each stage axis, in each direction.
-        arm_mm: lever arm from the point about which the carriage turns to the pupil, which the turns displace.
+        arm_mm: lever arm from the carriage's centre of rotation to the pupil, which the rotations displace.
         repeatability_um: random displacement of each visit, per axis.
         readback_um: random error of the reading that session.toml states, per axis.
-        axes_skew_mrad: each pair of stage axes departs from a right angle by this much.
+        axes_skew_mrad: departure of each pair of stage axes from a right angle.
         creep_um: thermal displacement of the stage from the first photograph to the last, exponentially decaying.
         bow_mm: height of the board's corners over its middle; see `printed_board`.
-        twist_mm: height of the board's corners by twist, of alternating sign.
-        anisotropy: fraction by which the board is printed longer in y than in x.
-        scale_error: fraction by which the whole board is printed larger or smaller.
+        twist_mm: height of the board's corners due to twist, of alternating sign.
+        anisotropy: relative difference of the print's scales in y and x.
+        scale_error: relative error of the print's overall scale.
         dot_error_um: random displacement of each dot on the board, per axis.
         lens: kind of the true eyeball lens and tracking lens, see `lenses.lens_camera.LENS_KINDS`.
         lens_px: rms residual in pixels per axis of a fit of the five Brown terms to a "rational" or "thin-prism" lens.
         decentring: tangential distortion added to each lens, p1 and p2 each.
         focus_breathing: relative change of the eyeball camera's focal length between the farthest and nearest target.
         extrinsics_mm: random error of the stated position of the tracking camera, per axis.
-        extrinsics_deg: random error of its stated rotation, per axis.
+        extrinsics_deg: random error of the stated rotation of the tracking camera, per axis.
         black_clip: fraction of full scale by which the sensor's black level is too low; darker pixels become 0.
-        gamma_error: departure of the sensors' response from a straight line, as a departure of gamma from 1.
+        gamma_error: nonlinearity of the sensors' response, as the departure of gamma from 1.
         vibration_px: standard deviation of the motion blur of each photograph, along a random direction.
         stray_light: fraction of the light spread over the picture (veiling glare).
     """
@@ -82,13 +82,13 @@ class BenchImperfections:
 
     @property
     def of_photographs(self) -> "BenchImperfections":
-        """The imperfections of photographs, extrinsics and axes alone: a `Workshop` has stage, board and lenses."""
+        """Imperfections of photographs, extrinsics and axes only, since a `Workshop` has stage, board and lenses."""
         stage = {"turn_urad": 0.0, "turn_jitter_urad": 0.0, "straightness_um": 0.0, "repeatability_um": 0.0}
         board = {"bow_mm": 0.0, "twist_mm": 0.0, "anisotropy": 0.0, "scale_error": 0.0, "dot_error_um": 0.0}
         return replace(self, **stage, **board, creep_um=0.0, lens="brown")
 
     def scaled(self, factor: float) -> "BenchImperfections":
-        """Return all sizes times a factor, 0 or more; a factor of 0 makes the lens a "brown" one."""
+        """Return all sizes multiplied by a factor of 0 or more; with 0, the lens is "brown"."""
         return BenchImperfections(
             **{name: factor * size for name, size in self._sizes().items()}, lens=self.lens if factor else "brown"
         )

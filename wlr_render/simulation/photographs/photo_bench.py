@@ -1,4 +1,4 @@
-"""A simulated photographic bench with known true values, and the photographs of a session on it."""
+"""A simulated photographic bench with known true values: its design, and the true poses of its cameras and targets."""
 
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
@@ -25,12 +25,12 @@ from wlr_render.simulation.photographs.true_lens import true_lens
 from wlr_render.simulation.viewpoints import planar, volumetric
 from wlr_render.simulation.workshop import Workshop, travel_of
 
-_MARGIN = 1.08  # field of the camera over the display's field
-_BOARD_MARGIN = 1.15  # size of the board over that field at the farthest pose, if it can be printed
+_MARGIN = 1.08  # ratio of the camera's field to the display's field
+_BOARD_MARGIN = 1.15  # ratio of the board to the display's field at the farthest pose, if it can be printed
 _LARGEST_BOARD_M = (1.189, 0.841)  # A0, the largest sheet of a plotter
 _PITCH_PX = 24.0  # pitch of the board at its farthest pose, camera pixels
-_EXPOSURE = 0.85  # exposure of a white panel: just below full scale
-_TRACKING_SNR = 60.0  # signal-to-noise ratio of white, as of a camera of 8 bits in daylight
+_EXPOSURE = 0.85  # exposure of a white panel, just below full scale
+_TRACKING_SNR = 60.0  # signal-to-noise ratio of white, as for an 8-bit camera in daylight
 _STAGE, _BOARD, _LENSES, _EXTRINSICS, _SENSORS = range(101, 106)  # streams of random numbers
 
 Family = Literal["polynomial", "workshop"]
@@ -47,21 +47,21 @@ class PhotoBenchOptions:
     Attributes:
         camera_px: width and height of the eyeball camera's photographs.
         bits: bits of the eyeball camera.
-        pupil_mm: diameter of its entrance pupil.
+        pupil_mm: diameter of the eyeball camera's entrance pupil.
         focus_m: focus distance, for all photographs.
         snr: signal-to-noise ratio of a panel at full white.
         target_depths_m: distances of the target in front of the eye box; one pose each.
         seed: seed of all random numbers.
         imperfections: errors of stage, board, lenses, extrinsics and sensors.
-        stage: moving axes.
-        sampling: camera positions: in the middle plane of the eye box, or anywhere in it.
+        stage: moving axes of the stage.
+        sampling: region of camera positions: the middle plane of the eye box, or the whole eye box.
         stated_axes_deg: standard deviation of the error of the stage rotation in session.toml; the bare target is then
             photographed once. 0 if session.toml does not state the rotation.
         tracking_px: width and height of the tracking camera's photographs.
-        places_mm: camera positions from the centre of the eye box, in the order to visit, in place of `sampling`; empty
-            without.
+        places_mm: camera positions relative to the centre of the eye box, in the order of visits; empty to use
+            `sampling`.
         family: source of the errors of stage, board and lenses: "polynomial" for `imperfections`, "workshop" for a
-            `Workshop`; then `imperfections` keeps the errors of photographs, extrinsics and stage axes only.
+            `Workshop`, with which only the errors of photographs, extrinsics and stage axes come from `imperfections`.
     """
 
     camera_px: tuple[int, int] = (1280, 1024)
@@ -95,7 +95,7 @@ class PhotoBench:
 
     Attributes:
         device: the headset.
-        eye: which of its eyes.
+        eye: "left" or "right".
         board: the target as board.toml states it.
         printed: the target as printed and mounted.
         eyeball, tracking: lenses of the camera in place of the eye, and of the headset's tracking camera.
@@ -105,9 +105,9 @@ class PhotoBench:
         stage_errors: smooth errors of the stage.
         device_from_tracking: (4, 4) pose of the tracking camera.
         stated_device_from_tracking: (4, 4) pose of the tracking camera in session.toml.
-        device_from_target: (k, 4, 4) the target's poses.
+        device_from_target: (k, 4, 4) poses of the target.
         options: options of the design.
-        workshop: errors of the second family; None for a bench of the first.
+        workshop: errors of the second family; None for a bench of the first family.
     """
 
     device: Device
@@ -128,15 +128,15 @@ class PhotoBench:
     workshop: Workshop | None = None
 
     def workshop_motion(self, commanded: FloatArray, elapsed: FloatArray, sweep: int = 0) -> FloatArray:
-        """Return the errors (n, 6) of the workshop's stage and of a camera that warms up, for `camera_at`.
+        """Return the errors (n, 6) of a workshop's stage and of camera warm-up, for `camera_at`; 0 without a workshop.
 
-        They are 0 without a workshop. The focal length does not warm up.
+        Warm-up does not change the focal length here.
 
         Args:
             commanded: (n, 3) positions of the stage.
-            elapsed: (n,) elapsed part of the session at each of them, 0 to 1; positions of the same time are visited
+            elapsed: (n,) elapsed part of the session at each position, 0 to 1; positions of the same time are visited
                 in the order of the rows.
-            sweep: number of the random errors of the visits.
+            sweep: number of the sweep, for the random errors of the visits.
         """
         motion = np.zeros((len(commanded), 6))
         if self.workshop is None:
@@ -169,7 +169,7 @@ class PhotoBench:
         return transforms.rigid(transforms.rotations_of_vectors(motion[:3]) @ rotation, origin + motion[3:])
 
     def eyeball_focused(self, target_pose: int) -> SimulatedLens:
-        """Return the eyeball lens focused on the target; its focal length depends on the distance (breathing)."""
+        """Return the eyeball lens focused on the target, with a focal length that depends on distance (breathing)."""
         nearness = 1.0 / np.linalg.norm(self.device_from_target[:, :3, 3] - self.optics.eye_box.centre, axis=-1)
         reach = float(np.ptp(nearness))
         if reach == 0.0 or self.options.imperfections.focus_breathing == 0.0:
@@ -185,8 +185,8 @@ class _Aim:
     """View of the display from the eye box.
 
     Attributes:
-        device_from_looking: (3, 3) axes x right, y down, z towards the middle of the view.
-        half_tangents: (2,) half extent of the view, horizontal and vertical.
+        device_from_looking: (3, 3) axes of the view: x right, y down, z towards the middle.
+        half_tangents: (2,) half extent of the view, horizontal and vertical, tangents.
     """
 
     device_from_looking: FloatArray
@@ -199,7 +199,7 @@ class _Aim:
         view = truth.display.view_dir_of_pixel(pixel, box.at(_CORNERS)[:, None])
         view_dir = view.value[view.usable]
         forward = dir_of_tangents(0.5 * (field.low + field.high))
-        for _ in range(3):  # the middle depends on the view, and the view on the middle
+        for _ in range(3):  # the middle and the axes of the view depend on each other
             looking = _looking(forward)
             tangents = (view_dir @ looking)[:, :2] / (view_dir @ looking)[:, 2:]
             low, high = tangents.min(axis=0), tangents.max(axis=0)
@@ -208,7 +208,7 @@ class _Aim:
 
     @property
     def forward(self) -> FloatArray:
-        """(3,) unit direction of the view."""
+        """Unit direction (3,) of the middle of the view."""
         return np.asarray(self.device_from_looking[:, 2])
 
 
@@ -261,7 +261,7 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
 
 
 def _workshop(options: PhotoBenchOptions, number: int) -> Workshop | None:
-    """Return the errors of an eye's bench (0 or 1) or of the tracking camera (2)."""
+    """Return the workshop errors of an eye's bench (0 or 1) or of the tracking camera (2); None without a workshop."""
     if options.family == "polynomial":
         return None
     return Workshop(3 * options.seed + number)
@@ -270,19 +270,19 @@ def _workshop(options: PhotoBenchOptions, number: int) -> Workshop | None:
 def half_travel(truth: Eye) -> FloatArray:
     """Return the largest distances (3,) of a session's readings from the middle, metres.
 
-    In the middle plane of the eye box they end where rays of the display through the eye box do.
+    In x and y, the readings extend as far as display rays through the eye box reach in its middle plane.
     """
     size, reach = truth.eye_box.size, CaptureSetup(truth).field.reach
     return np.asarray(0.5 * size + [*(0.5 * size[2] * reach), 0.0])
 
 
 def _skewed(skew_mrad: float, rng: np.random.Generator) -> FloatArray:
-    """Return axes (3, 3) of unit length to first order, each pair off a right angle by `skew_mrad`."""
+    """Return axes (3, 3), of unit length to first order, with each pair off a right angle by `skew_mrad`."""
     return np.asarray(np.eye(3) + 1e-3 * skew_mrad * np.triu(rng.choice([-1.0, 1.0], (3, 3)), 1))
 
 
 def _misstated(true: FloatArray, sizes: BenchImperfections, rng: np.random.Generator) -> FloatArray:
-    """Return the pose (4, 4) with random errors of its position and of its rotation about its origin."""
+    """Return a pose (4, 4) with random errors of its position and of its rotation about its origin."""
     turn, shift = rng.standard_normal((2, 3))
     rotation = transforms.rotations_of_vectors(np.deg2rad(sizes.extrinsics_deg) * turn) @ true[:3, :3]
     return transforms.rigid(rotation, true[:3, 3] + 1e-3 * sizes.extrinsics_mm * shift)
@@ -294,13 +294,13 @@ def _imperfect(sensor: Sensor, sizes: BenchImperfections, rng: np.random.Generat
 
 
 def target_at(bench: PhotoBench, depth_m: float, tilt_deg: float = 0.0, shift_m: float = 0.0) -> FloatArray:
-    """Return device_from_target (4, 4) of the target in front of the display's field at another depth.
+    """Return device_from_target (4, 4) of a target in front of the display's field at any depth.
 
     Args:
         bench: the bench.
         depth_m: depth along the middle of the view.
         tilt_deg: further rotation about the vertical axis of the view.
-        shift_m: displacement to the right; half as much down.
+        shift_m: displacement to the right, with half of it downwards.
     """
     aim = _Aim.at(traced_eye(bench.device, bench.eye))
     pose = _target_pose(aim, bench.optics.eye_box.centre, depth_m)
@@ -310,9 +310,9 @@ def target_at(bench: PhotoBench, depth_m: float, tilt_deg: float = 0.0, shift_m:
 
 
 def stage_readings(bench: PhotoBench, count: int) -> FloatArray:
-    """Return readings (count, 3) that cover the base plane or the eye box, rounded to micrometres like a stage's.
+    """Return readings (count, 3) that cover the base plane or the eye box, rounded to micrometres as on a stage.
 
-    Places that the options state are returned in their order.
+    Positions stated in the options are returned in their order.
     """
     if bench.options.places_mm:
         return np.round(1e-3 * np.array(bench.options.places_mm), 6)
@@ -334,7 +334,7 @@ def _turned(x_deg: float, y_deg: float, z_deg: float) -> FloatArray:
 
 
 def _board(aim: _Aim, depth_m: float, camera: LensCamera) -> DotBoard:
-    """Return a board that fills the display's field at its farthest pose, if it can be printed."""
+    """Return a board that fills the display's field at the farthest pose, as far as it can be printed."""
     wanted = 2 * aim.half_tangents * depth_m * _BOARD_MARGIN
     largest = _LARGEST_BOARD_M if wanted[0] >= wanted[1] else _LARGEST_BOARD_M[::-1]
     pitch = 1e-3 * np.ceil(1e3 * _PITCH_PX * depth_m / float(camera.focal_px[0]))
@@ -343,7 +343,7 @@ def _board(aim: _Aim, depth_m: float, camera: LensCamera) -> DotBoard:
 
 
 def _tracking_pose(aim: _Aim, eye: FloatArray) -> FloatArray:
-    """Return the tracking camera's pose: above the eye, outside the headset, looking at the display's field."""
+    """Return the tracking camera's pose above the eye, outside the headset, facing the display's field."""
     return transforms.rigid(aim.device_from_looking @ _turned(-1.5, 2.0, -1.0), eye + [-0.012, 0.045, -0.06])
 
 
