@@ -1,4 +1,4 @@
-"""Plan a simulated session: commanded and true poses of the cameras, and the session.toml."""
+"""Plan of a simulated session: commanded and true poses of the cameras, and session.toml."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,12 +29,12 @@ from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, stage_readings
 
 _TILTS_DEG = ((0, 0), (28, 0), (-28, 0), (0, 28), (0, -28), (20, 20), (-20, 20), (20, -20), (-20, -20))
-_GROUND_PX = 4.0  # width of the ground around a measured dot
-_FILL = (0.75, 1.1)  # shares of the picture's width that the board fills, alternating
+_GROUND_PX = 4.0  # width of the background around a measured dot
+_FILL = (0.75, 1.1)  # alternating sizes of the board in the picture, as shares of the picture's size
 _PLACES, _TURNS, _READINGS, _CREEP, _STATED = 17, 18, 19, 20, 22  # streams of random numbers
-_CREEP_TIME = 0.3  # share of the session in which the creep falls to 1 / e
+_CREEP_TIME = 0.3  # time constant of the creep, as a share of the session
 _VISIT_S = 30.0  # time from one visit to the next
-_READING_DIGITS = 8  # decimals of a reading in metres: an encoder of 10 nm
+_READING_DIGITS = 8  # decimals of a reading in metres, for an encoder of 10 nm
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +44,8 @@ class PhotoPlan:
     Attributes:
         sweep: (m, 3) stage readings for the panel, and for the target through the optics.
         bare: (n, 3) stage readings for the target without the headset, along all axes.
-        bare_poses: target poses that are photographed without the headset: the first before it is mounted, the last
-            after it is removed again, so that a target that moved in between is noticed.
+        bare_poses: target poses that are photographed without the headset: the first before the headset is mounted, the
+            last after it is removed, so that a target that moved in between is noticed.
         eyeball_boards, tracking_boards: (k, 4, 4) camera_from_board, for the intrinsics of each camera.
     """
 
@@ -76,7 +76,7 @@ def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
 
 
 def unreadable_targets(bench: PhotoBench) -> list[str]:
-    """Return warnings about target poses at which photographs show too few whole dots, or too small dots."""
+    """Return warnings about target poses whose photographs show too few whole dots or too small dots."""
     warnings = []
     for number, target in enumerate(bench.device_from_target):
         for name, lens, camera in (
@@ -105,10 +105,10 @@ def bare_steps(axes: int, in_depth: bool) -> FloatArray:
 
     Args:
         axes: number of axes of the stage.
-        in_depth: True if the sweep travels along z, too.
+        in_depth: True if the sweep travels along z too.
     """
     steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, [0.0]), axis=-1).reshape(-1, 3)
-    # With three levels of an axis a cubic error of the stage looks linear: five levels distinguish them.
+    # With three levels per axis, a cubic error of the stage looks linear; five levels distinguish them.
     between = [[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, -0.5, 0.0], [0.0, 0.5, 0.0]]
     if in_depth:
         between += [[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]]
@@ -117,7 +117,7 @@ def bare_steps(axes: int, in_depth: bool) -> FloatArray:
 
 
 def _boards_before(camera: LensCamera, board_m: FloatArray) -> FloatArray:
-    """Return camera_from_board (k, 4, 4): the board tilted in all directions, filling the picture, also off centre."""
+    """Return camera_from_board (k, 4, 4) of boards that fill the picture, tilted in all directions and off centre."""
     poses = []
     for number, tilt in enumerate(_TILTS_DEG):
         for fill, side in zip(_FILL, (1, -1), strict=True):
@@ -130,12 +130,12 @@ def _boards_before(camera: LensCamera, board_m: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """The camera at one position, from arriving until leaving.
+    """A stay of the camera at one position, from arrival to departure.
 
     Attributes:
         reading: (m,) readings of the stage's encoders, metres.
         device_from_camera: (4, 4) true pose of the eyeball camera.
-        time_s: seconds since the first visit, where a camera warms up; None if unknown.
+        time_s: seconds since the first visit, for a camera that warms up; None if unknown.
     """
 
     reading: FloatArray
@@ -148,9 +148,9 @@ class SessionVisits:
     """The visits of a session, in the order of the lists of its session.toml.
 
     Attributes:
-        bare: one for each photograph of the target without the headset.
-        see_through: one for each photograph of the target through the optics.
-        display: one for each panel set; these are the visits of the first target pose's photographs.
+        bare: visit of each photograph of the target without the headset.
+        see_through: visit of each photograph of the target through the optics.
+        display: visit of each panel set; the same visits as for photographs of the first target pose.
     """
 
     bare: tuple[Visit, ...]
@@ -159,10 +159,10 @@ class SessionVisits:
 
 
 def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
-    """Return the visits of a session, from the bench's seed.
+    """Return the visits of a session, with random errors from the bench's seed.
 
     The stage travels through the bare positions of the first target pose, the sweep of each target pose with a return
-    to its first position, and the bare positions of the other bare target pose. It creeps in this order.
+    to the first position, and the bare positions of the other bare target pose. It creeps in this order.
     """
     axes = len(bench.options.stage)
     sweep = np.concatenate([plan.sweep, plan.sweep[:1]])
@@ -171,7 +171,7 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
     bare_count = bare * len(plan.bare_poses)
     taken = np.concatenate([np.arange(bare), np.arange(bare, bare_count) + poses * len(sweep)])
     taken = np.concatenate([taken, bare + np.arange(poses * len(sweep))])
-    # The order is fixed by earlier simulated sessions, whose random numbers must not change.
+    # This order keeps the random numbers of existing simulated sessions.
     drawn = np.concatenate([bare_count + np.arange(places), np.arange(bare_count)])
     drawn = np.concatenate([drawn, np.arange(bare_count + places, len(commanded))])
 
@@ -193,9 +193,9 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
 
 
 def later_visits(bench: PhotoBench, commanded: FloatArray, rng: np.random.Generator) -> tuple[Visit, ...]:
-    """Return visits of the stage to commanded positions (n, 3) after the session, with the session's random errors.
+    """Return visits of the stage to commanded positions (n, 3) after the session, with random errors as in the session.
 
-    Axes that the stage lacks do not move. The creep keeps its value at the end of the session.
+    Axes that the stage lacks do not move. The creep keeps its value from the end of the session.
     """
     sizes, axes = bench.options.imperfections, len(bench.options.stage)
     commanded = commanded * (np.arange(3) < axes)
@@ -217,7 +217,7 @@ def _whole_creep(bench: PhotoBench) -> FloatArray:
 
 
 def _creep(taken: FloatArray) -> FloatArray:
-    """Return the fraction (n,) of the whole creep at the photographs number `taken` (n,)."""
+    """Return the fraction (n,) of the whole creep at photographs number `taken` (n,)."""
     part = 1.0 - np.exp(-taken / (_CREEP_TIME * max(1, len(taken) - 1)))
     return np.asarray(part / (1.0 - np.exp(-1.0 / _CREEP_TIME)))
 
@@ -225,14 +225,14 @@ def _creep(taken: FloatArray) -> FloatArray:
 def planned_session(
     root: Path, bench: PhotoBench, plan: PhotoPlan, visits: SessionVisits, pattern: Pattern
 ) -> PhotoSession:
-    """Return the session of these visits, with photographs in the folder `root`, without the true values."""
+    """Return the session of these visits, with photographs in the folder `root` and without true values."""
     poses = range(len(bench.device_from_target))
     eyeball = _camera(root / "intrinsics" / "eyeball", bench.eyeball, bench.eyeball_sensor, len(plan.eyeball_boards))
     tracking = _camera(
         root / "intrinsics" / "tracking", bench.tracking, bench.tracking_sensor, len(plan.tracking_boards)
     )
     bare = [f"bare/pose{pose}_{n:02d}.png" for pose in plan.bare_poses for n in range(len(plan.bare))]
-    # Each sweep ends with its first reading again, which reveals any motion in between.
+    # Each sweep ends at its first reading again, to reveal any motion in between.
     sweep = len(visits.see_through) // len(poses)
     through = [
         (pose, f"pose{pose}_{n:02d}.png", visits.see_through[pose * sweep + n]) for pose in poses for n in range(sweep)
@@ -276,7 +276,7 @@ def planned_session(
 
 
 def _described_stage(bench: PhotoBench) -> StageDescription:
-    """Return the stage description of session.toml: axes at right angles, all rotated by one random error."""
+    """Return the stage of session.toml: axes at right angles, all rotated by one random error."""
     options, axes = bench.options, len(bench.options.stage)
     if not options.stated_axes_deg:
         return StageDescription((StageAxis(),) * axes)
@@ -284,7 +284,7 @@ def _described_stage(bench: PhotoBench) -> StageDescription:
     sigma = float(np.radians(options.stated_axes_deg))
     error = transforms.rotations_of_vectors(sigma * rng.standard_normal(3))
     true = bench.device_from_camera[:3, :3].T @ bench.stage_axes
-    left, _, right = np.linalg.svd(true)  # the nearest rotation: a lab does not state the skew of a stage
+    left, _, right = np.linalg.svd(true)  # nearest rotation, because a lab does not state the skew of a stage
     stated = error @ left @ right
     return StageDescription(tuple(StageAxis("linear", each, sigma, is_in_camera=True) for each in stated.T[:axes]))
 

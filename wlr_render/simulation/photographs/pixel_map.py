@@ -1,8 +1,8 @@
-"""Interpolate an expensive quantity, such as a traced ray, to every pixel of an image.
+"""Interpolation of an expensive quantity, such as a traced ray, to every pixel of an image.
 
 The quantity is computed exactly on a grid of nodes and interpolated by polynomials of degree 5 through the nearest 6 x
-6 nodes. It is also computed exactly in the middle of each cell: where the polynomial misses that value, or the corners
-and the middle disagree about light (the edge of an aperture), every pixel of the cell is computed.
+6 nodes. It is also computed exactly in the middle of each cell: where the polynomial misses this value, or only some of
+corners and middle have light (at the edge of an aperture), every pixel of the cell is computed.
 """
 
 from collections.abc import Callable
@@ -16,8 +16,8 @@ from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 Exact = Callable[[FloatArray], tuple[FloatArray, BoolArray]]
 """Positions in the image (n, 2) -> the quantity (n, k) and a mask of light (n,). Values without light may be NaN."""
 
-_SPACING_PX = 16.0  # distance of the points that are traced
-_STENCIL = 6  # points of an interpolation: degree 5
+_SPACING_PX = 16.0  # spacing of the grid, camera pixels
+_STENCIL = 6  # nodes of an interpolation along each axis, for degree 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,10 +26,10 @@ class PixelMap:
 
     Attributes:
         nodes: (k, rows, columns) values on the grid.
-        from_rows, from_columns: (height, rows) and (width, columns), grid -> pixels.
+        from_rows, from_columns: (height, rows) and (width, columns) interpolation matrices from grid to pixels.
         lit: (height, width) mask of pixels with light.
-        alone: (n, 2) (row, column) of pixels that are computed one by one.
-        alone_value: (n, k) their values.
+        alone: (n, 2) (row, column) of pixels that are computed individually.
+        alone_value: (n, k) values of these pixels.
     """
 
     nodes: Float32Array
@@ -41,12 +41,12 @@ class PixelMap:
 
     @classmethod
     def sample(cls, exact: Exact, size_px: tuple[int, int], offset: FloatArray, tolerance: FloatArray) -> "PixelMap":
-        """Compute the quantity on the grid, and pixel by pixel where the tolerance is not met.
+        """Compute the quantity on the grid, and pixel by pixel where interpolation exceeds the tolerance.
 
         Args:
             exact: function that computes the quantity.
             size_px: width and height of the picture.
-            offset: (2,) from a pixel's centre, within half a pixel.
+            offset: (2,) offset of the positions from the pixels' centres, within half a pixel.
             tolerance: (k,) largest error of each component.
         """
         columns, rows = (_Axis.of(size, shift) for size, shift in zip(size_px, offset, strict=True))
@@ -64,7 +64,7 @@ class PixelMap:
         return cls(nodes, rows.to_pixel, columns.to_pixel, lit, alone, alone_value.astype(np.float32))
 
     def planes(self) -> Float32Array:
-        """Return the quantity in all pixels, (k, height, width); values outside `lit` have no meaning."""
+        """Return the quantity (k, height, width) at all pixels; values outside `lit` are meaningless."""
         value = np.asarray(self.from_rows @ self.nodes @ self.from_columns.T, dtype=np.float32)
         value[:, self.alone[:, 0], self.alone[:, 1]] = self.alone_value.T
         return value
@@ -96,7 +96,7 @@ class _Axis:
 
 
 def _lagrange(nodes: int, place: FloatArray) -> Float32Array:
-    """Return the matrix (n, nodes) of interpolation at (n,) by the polynomial through the nearest six of 0, 1, ..."""
+    """Return the matrix (n, nodes) that interpolates at `place` (n,), by polynomials through the six nearest nodes."""
     start = np.clip(place.astype(np.int64) - _STENCIL // 2 + 1, 0, nodes - _STENCIL)
     local = place - start
     matrix = np.zeros((len(place), nodes), dtype=np.float32)

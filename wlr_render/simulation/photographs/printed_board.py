@@ -5,7 +5,7 @@ and hy half the width and height of the features' grid, the height is
 
     bow * (w (x / hx)^2 + (1 - w) (y / hy)^2) + twist * (x / hx) (y / hy)
 
-less its mean over the features: `bow` is the distance of the corners from the plane of the middle, w the share along x.
+less its mean over the features: `bow` is the height of the corners over the middle, and w is the share along x.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from wlr_render.numerics.arrays import Float32Array, FloatArray, IntArray
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.workshop import Workshop
 
-_CELLS = 512  # cells across and along a board; each stores its nearest feature
+_CELLS = 512  # number of cells along each side of a board; each cell stores its nearest feature
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class PrintedBoard:
     Attributes:
         design: the board in board.toml.
         scale: (2,) printed length per length of the design, x and y.
-        bow_m, twist_m: heights as above; positive away from the viewer, who sees the board from -z.
+        bow_m, twist_m: `bow` and `twist` above; positive away from the viewer, who is at -z.
         bow_along_x: w above, 0 to 1.
         offset_m: (n, 2) displacement of each feature on the print, in the order of `design.indices()`.
     """
@@ -75,12 +75,12 @@ class PrintedBoard:
         return np.asarray(self.points[number[index[..., 0], index[..., 1]]])
 
     def height(self, on_sheet: RealArray) -> RealArray:
-        """Return the height z (...) of the sheet at places (..., 2) on it, metres."""
+        """Return the height z (...) of the sheet at positions (..., 2) on the sheet, metres."""
         shape = self._shape(on_sheet / self._half_size.astype(on_sheet.dtype))
         return np.asarray(shape - np.asarray(self._mean_height, dtype=on_sheet.dtype))
 
     def reflectance(self, on_sheet: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """Return the reflectance of the print at positions (..., 2): a feature's neighbourhood moves with it."""
+        """Return the reflectance of the print at positions (..., 2); each feature moves with its neighbourhood."""
         place = on_sheet / self.scale.astype(on_sheet.dtype)
         if np.any(self.offset_m):
             cell = (place / self.design.size_m.astype(on_sheet.dtype) + 0.5) * _CELLS
@@ -111,7 +111,7 @@ class PrintedBoard:
 
     @cached_property
     def _offset_of_cell(self) -> Float32Array:
-        """Offset (cells, cells, 2) of the feature nearest to each cell of the design, by y and x."""
+        """Offset (cells, cells, 2) of the feature nearest to each cell of the design; axes y, x."""
         middle = (np.arange(_CELLS) + 0.5) / _CELLS - 0.5
         cells = np.stack(np.meshgrid(middle, middle), axis=-1) * self.design.size_m
         nearest = scipy.spatial.cKDTree(self._designed).query(cells)[1]
@@ -120,23 +120,23 @@ class PrintedBoard:
 
 @dataclass(frozen=True, eq=False)
 class WorkshopBoard(PrintedBoard):
-    """A board with the print and the shape of the second family of errors.
+    """A board with errors of print and shape from the second family.
 
     Attributes:
-        workshop: the errors.
+        workshop: errors of the second family.
     """
 
     workshop: Workshop
 
     @classmethod
     def of(cls, design: Board, workshop: Workshop) -> "WorkshopBoard":
-        """Return the print of a design."""
+        """Return a design as printed, with the errors of a workshop."""
         place = design.point_of(design.indices())[:, :2]
         return cls(design, np.ones(2), 0.0, 0.0, 0.5, workshop.printed_m(place), workshop)
 
     @property
     def is_flat(self) -> bool:
-        """False: no sheet is."""
+        """False, because no sheet is flat."""
         return False
 
     def _shape(self, unit: RealArray) -> NDArray[np.floating]:

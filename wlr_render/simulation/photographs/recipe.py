@@ -34,7 +34,7 @@ class SimulationRecipe:
     bench: PhotoBenchOptions = field(default_factory=PhotoBenchOptions)
 
     def build(self) -> PhotoBench:
-        """Return the bench itself."""
+        """Return the simulated bench."""
         return design_photo_bench(load_device(self.device), self.eye, self.bench)
 
 

@@ -1,6 +1,6 @@
-"""Write a session's folder as a lab would: every photograph, taken through the true optics, and session.toml.
+"""Simulation of a session's folder, as from a lab: every photograph, taken through the true optics, and session.toml.
 
-`simulation.toml`, in the same folder, states how the photographs were made, so that interrupted work can be resumed and
+`simulation.toml`, in the same folder, is the recipe of the photographs, so that interrupted work can be resumed and
 verification can take more photographs on the same bench. Calibration never opens it.
 """
 
@@ -36,7 +36,7 @@ from wlr_render.work.progress import SILENT, Progress
 from wlr_render.work.workers import LOCAL, WorkerPool, as_finished
 
 BOARD = "board.toml"
-_MOST_WORKERS = 4  # most workers by default: each takes up to 0.4 GB
+_MOST_WORKERS = 4  # most workers by default, because each takes up to 0.4 GB
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class TakenPhotographs:
     """Photographs that a run took for a session.
 
     Attributes:
-        taken, kept: numbers of photographs taken by this run, and kept from an earlier one.
-        changed: photographs of an earlier run that had changed since, and were taken again.
+        taken, kept: numbers of photographs taken in this run and kept from an earlier run.
+        changed: photographs of an earlier run that had changed since then and were taken again.
     """
 
     taken: int
@@ -56,7 +56,7 @@ class TakenPhotographs:
 def simulate_photo_session(
     folder: Path, recipe: SimulationRecipe, workers: WorkerPool = LOCAL, progress: Progress = SILENT
 ) -> TakenPhotographs:
-    """Take all photographs of a session that an earlier run has not taken.
+    """Take the photographs of a session that no earlier run has taken.
 
     Raises:
         BadInputError: an unknown device, eye or pattern, or the folder holds a session made with other options or input
@@ -94,7 +94,7 @@ def _take(task: tuple[CameraPose, Sequence[Path]]) -> dict[Path, Signature]:
 def camera_poses(
     session: PhotoSession, bench: PhotoBench, plan: PhotoPlan, visits: SessionVisits
 ) -> Iterator[CameraPose]:
-    """Yield all photographs; photographs from one pose with one lens of the eyeball camera are traced together."""
+    """Yield all camera poses with their photographs; eyeball photographs of one pose and lens are traced together."""
     pose = poses_on(bench, bench.options.seed)
     eyeball = partial(pose, bench.eyeball, bench.eyeball_sensor)
     tracking = partial(pose, bench.tracking, bench.tracking_sensor, optics=None)
@@ -120,7 +120,7 @@ def camera_poses(
 
 
 def poses_on(bench: PhotoBench, seed: int) -> Callable[..., CameraPose]:
-    """Return a maker of `CameraPose` with the board, vibration, stray light and noise seed of a bench."""
+    """Return a function that makes a `CameraPose` with the board, vibration, stray light and noise seed of a bench."""
     sizes = bench.options.imperfections
     return partial(
         CameraPose,

@@ -9,19 +9,19 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 
 _DEGREES = np.arange(1, 4)
-_TURN_PARTS = np.array([1.0, 0.5, 0.25])  # shares of the linear, quadratic and cubic term in the rms turn
-_BEND_PARTS = np.array([0.0, 1.0, 0.5])  # a linear departure from a straight line is a skew axis, not a bend
+_TURN_PARTS = np.array([1.0, 0.5, 0.25])  # weights of linear, quadratic and cubic term in the rms turn
+_BEND_PARTS = np.array([0.0, 1.0, 0.5])  # weights in the rms bend; a linear term would be a skew axis
 
 
 @dataclass(frozen=True, eq=False)
 class StageErrors:
-    """Cubic curves of each stage axis, device frame; zero at the reading zero.
+    """Cubic error curves of each stage axis, device frame; zero at reading zero.
 
     Attributes:
         half_travel_m: (3,) half the travel of each axis.
         turn_rad: (3, 3, 3) coefficients by rotation axis, stage axis and degree of the Legendre polynomial.
-        bend_m: (3, 3, 3) the same for the displacement.
-        arm_m: (3,) lever arm from the point about which the carriage turns to the pupil.
+        bend_m: (3, 3, 3) coefficients of the displacement by direction, stage axis and degree.
+        arm_m: (3,) lever arm from the carriage's centre of rotation to the pupil.
     """
 
     half_travel_m: FloatArray
@@ -31,7 +31,7 @@ class StageErrors:
 
     @classmethod
     def draw(cls, sizes: BenchImperfections, half_travel_m: FloatArray, rng: np.random.Generator) -> "StageErrors":
-        """Draw curves of random signs, with the rms sizes `turn_urad` and `straightness_um`."""
+        """Draw curves with random signs and the rms sizes `turn_urad` and `straightness_um`."""
         signs = rng.choice([-1.0, 1.0], (2, 3, 3, 3))
         return cls(
             half_travel_m,
@@ -48,5 +48,5 @@ class StageErrors:
 
 
 def _of_unit_rms(parts: FloatArray) -> FloatArray:
-    """Return Legendre coefficients of a curve whose standard deviation over -1..1 is 1."""
+    """Return Legendre coefficients, in ratios `parts`, of a curve with standard deviation 1 over -1..1."""
     return np.asarray(parts / np.linalg.norm(parts) * np.sqrt(2.0 * _DEGREES + 1.0))

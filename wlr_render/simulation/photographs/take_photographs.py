@@ -19,9 +19,9 @@ from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.printed_board import PrintedBoard
 
-_SMALL_PX = 64  # side of the small copy; glare has no finer shape
+_SMALL_PX = 64  # side of the small copy for glare, which has no finer structure
 _SPREAD = 0.1  # standard deviation of veiling glare, in sides of the picture
-_WIDEST_STEP_PX2 = 0.25  # variance that a kernel of 3 x 3 pixels can have without much ringing
+_WIDEST_STEP_PX2 = 0.25  # largest variance of a 3 x 3 kernel without much ringing
 _DARK_ROOM = FarWall(brightness=0.03)  # background while the panel is photographed
 
 
@@ -31,7 +31,7 @@ class BoardShot:
 
     Attributes:
         path: path of the photograph.
-        frame_from_board: (4, 4) pose of the board in the frame of its camera pose.
+        frame_from_board: (4, 4) pose of the board in the frame of the camera pose.
     """
 
     path: Path
@@ -39,7 +39,7 @@ class BoardShot:
 
 
 class Pictures(Protocol):
-    """Pictures that a panel shows one after the other: a `Pattern`, or any others."""
+    """Pictures that a panel shows one after the other: a `Pattern`, or any other ones."""
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the pictures, in the order of showing."""
@@ -61,7 +61,7 @@ class PanelShots:
     pictures: Pictures
 
     def paths(self) -> list[Path]:
-        """Return the paths in the order of showing."""
+        """Return the paths of the photographs in the order of showing."""
         names = [name.replace(" ", "_") for name in self.pictures.names()]
         return [self.folder / f"{number:03d}_{name}.png" for number, name in enumerate(names)]
 
@@ -71,9 +71,9 @@ class CameraPose:
     """A camera at one pose, and the photographs taken from there.
 
     Attributes:
-        lens, sensor: the camera.
-        frame_from_camera: (4, 4); the frame is the device's if `optics` are given.
-        optics: the optics before the camera; None without the headset.
+        lens, sensor: lens and sensor of the camera.
+        frame_from_camera: (4, 4) pose of the camera, in the device frame if `optics` are given.
+        optics: the optics in front of the camera; None without the headset.
         board: the target, flat and exact, or as printed.
         boards, panels: the photographs.
         seed: seed of the noise.
@@ -100,7 +100,7 @@ class CameraPose:
 
 
 def take(pose: CameraPose, missing: Sequence[Path] | None = None) -> list[Path]:
-    """Take the missing photographs, by default all; returns their paths."""
+    """Take the missing photographs, by default all, and return their paths."""
     missing = pose.paths() if missing is None else missing
     if pose.optics is None:
         view = CameraView.without_headset(pose.lens, pose.frame_from_camera)
@@ -120,7 +120,7 @@ def take(pose: CameraPose, missing: Sequence[Path] | None = None) -> list[Path]:
 
 
 def _photograph(pose: CameraPose, light: Float32Array, path: Path) -> None:
-    """Expose light (h, w) and write it; its random numbers do not depend on the order of photographs."""
+    """Expose light (h, w) and write the photograph, with random numbers that do not depend on the order."""
     seed = [pose.seed, zlib.crc32("/".join(path.parts[-2:]).encode()), int(pose.eye == "left")]
     if pose.stray_light:
         light = light + np.float32(pose.stray_light) * veiling_glare(light)
@@ -131,7 +131,7 @@ def _photograph(pose: CameraPose, light: Float32Array, path: Path) -> None:
 
 
 def veiling_glare(light: Float32Array) -> Float32Array:
-    """Return light (h, w) blurred over a tenth of the picture, dark outside; computed on a small copy."""
+    """Return light (h, w) blurred over a tenth of the picture, with darkness outside, computed on a small copy."""
     height, width = light.shape
     small = cv2.resize(light, (_SMALL_PX, _SMALL_PX), interpolation=cv2.INTER_AREA)
     blurred = cv2.GaussianBlur(small, (0, 0), _SPREAD * _SMALL_PX, borderType=cv2.BORDER_CONSTANT)
@@ -139,7 +139,7 @@ def veiling_glare(light: Float32Array) -> Float32Array:
 
 
 def blurred(light: Float32Array, deviation_px: FloatArray) -> Float32Array:
-    """Return light (h, w) blurred along a line with a standard deviation of (2,) pixels, by a matching kernel."""
+    """Return light (h, w) blurred along a line, by a kernel with standard deviations (2,) in pixels."""
     steps = int(np.ceil(np.sum(deviation_px**2) / _WIDEST_STEP_PX2))
     (xx, xy), (_, yy) = np.outer(deviation_px, deviation_px) / steps
     second = 0.5 * np.array([[0.5 * xy, yy, -0.5 * xy], [xx, -2 * (xx + yy), xx], [-0.5 * xy, yy, 0.5 * xy]])

@@ -9,15 +9,15 @@ from wlr_render.lenses.lens_camera import LENS_KINDS, LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 
-_DENOMINATOR = np.array([0.3, 0.2, 1.5])  # k4 to k6 times the corner's tangent to the power 2, 4 and 6
-_PRISM = np.array([1.0, -0.6, -0.8, 0.5])  # s1 to s4, times the powers 2 and 4 and a common factor
-_FISHEYE = np.array([-0.02, 0.006, -0.003, 0.0008])  # k1 to k4: some pixels beside an equidistant lens
-_GRID = (33, 27)  # points at which the distortion is fitted
-_ROUNDS = 4  # rounds in which field and distortion settle
+_DENOMINATOR = np.array([0.3, 0.2, 1.5])  # k4 to k6, times powers 2, 4 and 6 of the corner's tangent
+_PRISM = np.array([1.0, -0.6, -0.8, 0.5])  # s1 to s4, times powers 2 and 4 of the tangent and a common factor
+_FISHEYE = np.array([-0.02, 0.006, -0.003, 0.0008])  # k1 to k4, a few pixels from an equidistant lens
+_GRID = (33, 27)  # columns and rows of points at which the distortion is fitted
+_ROUNDS = 4  # rounds until field and distortion converge
 
 
 def true_lens(brown: LensCamera, sizes: BenchImperfections, rng: np.random.Generator) -> LensCamera:
-    """Return the true lens for a Brown lens: of another kind, decentred, with about the same field of view.
+    """Return the true lens for a Brown lens, of another kind and decentred, with about the same field of view.
 
     The distortion of "rational" and "thin-prism" lenses is scaled so that a fit of the Brown terms, focal lengths and
     centre, over the whole picture, has the rms residual `sizes.lens_px`.
@@ -42,7 +42,7 @@ def true_lens(brown: LensCamera, sizes: BenchImperfections, rng: np.random.Gener
         np.meshgrid(*(np.linspace(0, length, n) for length, n in zip(brown.size_px, _GRID, strict=True))), -1
     )
     lens = brown
-    for _ in range(_ROUNDS):  # the field depends on the distortion, and the distortion on the field
+    for _ in range(_ROUNDS):  # field and distortion depend on each other
         lens = _rational(brown, tangential, sizes, lens.tangents_of_pixel(grid.reshape(-1, 2)))
     return lens
 
