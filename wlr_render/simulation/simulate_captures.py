@@ -1,4 +1,4 @@
-"""Simulate captures of the panel and of targets from exact mappings, with noise and position errors."""
+"""Simulation of captures of the panel and of targets from exact mappings, with noise and position errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,16 +28,16 @@ def simulate(
     stage_error_m: float = 0.0,
     stage_turn_rad: float = 0.0,
 ) -> Captures:
-    """Simulate the captures that a camera takes of an eye's display and, through its optics, of targets at two depths.
+    """Simulate a camera's captures of an eye's display and, through the optics, of targets at two depths.
 
     Args:
-        eye: exact optics, from `open_eye` of a device.
+        eye: exact optics from `open_eye` of a device.
         positions: number of camera positions in the eye box.
         noise_arcmin: standard deviation of a measured direction about each of its transverse axes.
-        seed: of all random numbers.
-        sampling: where the camera stands: "planar" in the plane through the centre of the eye box, "volumetric" in the
-            whole eye box, "static" at its centre, whatever `positions` is.
-        grid: columns and rows of the panel pixels that are decoded at each position, and of the dots on each target.
+        seed: seed of all random numbers.
+        sampling: region of the camera positions: "planar" for the plane through the centre of the eye box, "volumetric"
+            for the whole eye box, "static" for one position at its centre, for any `positions`.
+        grid: columns and rows of the panel pixels decoded at each position, and of the dots on each target.
         stage_error_m: standard deviation of the camera's position about the reported one, per axis.
         stage_turn_rad: standard deviation of the camera's rotation about each axis.
 
@@ -45,8 +45,8 @@ def simulate(
         Captures of the display and of the world, device frame, metres; `Captures.save` writes them to a file.
 
     Raises:
-        BadInputError: an unknown sampling, a negative error, an empty grid, or a panel that is not seen from the eye
-            box.
+        BadInputError: the sampling is unknown, an error is negative, the grid is empty, or the panel is not visible
+            from the eye box.
 
     Example:
         >>> import wlr_render as wlr
@@ -60,7 +60,7 @@ def simulate(
 
 
 def simulate_display(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> DisplayCaptures:
-    """Decode the panel from camera positions; invisible pixels are left out.
+    """Simulate decoding of the panel from camera positions; invisible pixels are left out.
 
     Args:
         setup: the bench and its errors.
@@ -107,7 +107,7 @@ class _Visits:
 
 
 _Readings = tuple[NDArray[np.int64], FloatArray, FloatArray]
-"""Number of the position (n,), measured direction (n, 3) and real point (n, 3) of each reading."""
+"""Position number (n,), measured direction (n, 3) and real point (n, 3) of each reading."""
 
 
 def _visited(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> _Visits:
@@ -135,11 +135,11 @@ def _decoded(setup: CaptureSetup, visits: _Visits) -> tuple[NDArray[np.int64], F
 
 
 def simulate_see_through(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> SeeThroughCaptures:
-    """Photograph every target through the optics, with the display's field as the camera's field.
+    """Simulate photographs of every target through the optics, with the display's field as the camera's field.
 
     Args:
         setup: the bench and its errors.
-        viewpoint: (m, 3) positions that the stage reports; it is driven anew for each target.
+        viewpoint: (m, 3) positions that the stage reports; the stage moves again for each target.
         rng: source of the stage errors and the camera noise.
 
     Raises:
@@ -170,7 +170,7 @@ def _one_target(
 
 
 def _seen_dots(setup: CaptureSetup, depth_m: float, viewpoint: FloatArray, visits: _Visits) -> _Readings:
-    """Return the directions of a target's dots, by solving for them."""
+    """Return the readings of a target's dots, with directions solved for."""
     dot = setup.dots(depth_m, viewpoint)
     view = setup.truth.see_through.view_dir_of_real_point(dot[None], visits.position[:, None])
     view_dir = visits.measured(view.value)
@@ -179,21 +179,21 @@ def _seen_dots(setup: CaptureSetup, depth_m: float, viewpoint: FloatArray, visit
 
 
 def _met_by_camera_pixels(setup: CaptureSetup, depth_m: float, viewpoint: FloatArray, visits: _Visits) -> _Readings:
-    """Return the points where world rays of camera pixels meet a target's plane; rays that miss it are left out."""
+    """Return the readings where world rays of camera pixels meet a target's plane; rays that miss it are left out."""
     view_dir = setup.camera_dirs()
     world = setup.truth.see_through.real_ray_of_view_dir(visits.true(view_dir[None]), visits.position[:, None])
     position, column = np.nonzero(world.usable & (world.value[..., 5] < 0.0))
     ray = world.value[position, column]
     point = rays.split(rays.at_z(ray, setup.truth.eye_box.centre[2] - depth_m))[0]
-    # The world ray begins behind a plane that lies among the optics.
+    # For a plane within the optics, the world ray begins behind the plane.
     beyond = point[:, 2] <= ray[:, 2]
     return position[beyond], view_dir[column[beyond]], point[beyond]
 
 
 def with_camera_noise(captures: AnyCaptures, sigma_arcmin: float, rng: np.random.Generator) -> AnyCaptures:
-    """Turn every measured direction by Gaussian angles about two transverse axes, and record their sigma.
+    """Rotate every measured direction by Gaussian angles about two transverse axes, and record their sigma.
 
-    The noise is isotropic everywhere in the field, as for a camera that is turned towards the dot.
+    The noise is isotropic everywhere in the field, as with a camera that points at each dot.
     """
     if sigma_arcmin == 0.0:
         return captures

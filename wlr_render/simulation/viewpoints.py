@@ -1,9 +1,9 @@
-"""Viewpoint designs: in one plane, in the eye box, at its centre; and random test viewpoints.
+"""Viewpoint designs in one plane, in the eye box or at its centre, and random test viewpoints.
 
 A total-degree polynomial of degree N is determined only by viewpoints with more than N levels on every axis: a k x k
-grid does not determine terms of degree k in one variable, however large k^2 is. The designs here therefore give every
-viewpoint a separate level, and crowd levels towards the edges like Chebyshev points, because least squares is weakest
-there.
+grid does not determine terms of degree k in one variable, however large k^2 is. These designs therefore give every
+viewpoint a separate level, and concentrate levels near the edges like Chebyshev points, because least squares is
+weakest there.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ def planar(eye_box: EyeBox, reach: FloatArray, count: int) -> FloatArray:
         count: number of viewpoints.
 
     Returns:
-        (count, 3) device frame, metres.
+        The viewpoints (count, 3), device frame, metres.
     """
     steps = np.arange(_at_least_one(count))
     unit = np.stack([(steps + 0.5) / count, (steps * _GOLDEN + 0.5) % 1.0], axis=-1)
@@ -38,24 +38,24 @@ def planar(eye_box: EyeBox, reach: FloatArray, count: int) -> FloatArray:
 
 
 def volumetric(eye_box: EyeBox, count: int) -> FloatArray:
-    """Return viewpoints (count, 3) in the whole eye box: the first points of Sobol's sequence, Chebyshev-spaced."""
+    """Return viewpoints (count, 3) in the whole eye box: the first points of a Sobol sequence, Chebyshev-spaced."""
     power = int(np.ceil(np.log2(_at_least_one(count))))
     unit = scipy.stats.qmc.Sobol(3, scramble=False).random_base2(power)[:count] + 0.5 / 2**power
     return eye_box.at(_chebyshev_spaced(unit))
 
 
 def nominal(eye_box: EyeBox) -> FloatArray:
-    """Return the centre of the eye box, (1, 3), the only viewpoint that a static map is fitted on."""
+    """Return the centre of the eye box, (1, 3), the only viewpoint in the fit of a static map."""
     return np.array(eye_box.centre, dtype=np.float64)[None]
 
 
 def random_in_eye_box(eye_box: EyeBox, count: int, rng: np.random.Generator) -> FloatArray:
-    """Return uniformly random viewpoints in the eye box, (count, 3), for tests of models, mostly off the plane."""
+    """Return uniformly random viewpoints (count, 3) in the eye box, mostly off the plane, for tests of models."""
     return eye_box.at(rng.uniform(-1.0, 1.0, (_at_least_one(count), 3)))
 
 
 def _chebyshev_spaced(unit: FloatArray) -> FloatArray:
-    """Map 0..1 to -1..1, crowded towards the ends and stretched to the boundary."""
+    """Map 0..1 to -1..1, denser towards the ends and stretched to the boundary."""
     spaced = -np.cos(np.pi * unit)
     return np.asarray(spaced / np.maximum(np.abs(spaced).max(axis=0), 1e-9))
 

@@ -1,8 +1,8 @@
-"""A second family of bench imperfections, independent of the function classes that models of a bench use.
+"""A second family of bench imperfections, from other function classes than models of a bench use.
 
 `BenchImperfections` draws cubic curves, Brown-like lenses and quadratic boards. A workshop draws the same physical
 errors from other classes: sawtooth screws, random walks, random fields and a radially oscillating lens residual. Every
-error has a switch and is drawn from its own stream of random numbers, so that a switch changes one error alone.
+error has a switch and its own stream of random numbers, so that a switch changes only that error.
 """
 
 import zlib
@@ -20,42 +20,42 @@ SWITCHES = ("screw", "hysteresis", "abbe", "repeatability", "print", "bow", "len
 """Names of the imperfections."""
 
 # Screw: peak of the periodic error; lead screws have 10 um (precision grade) to 25 um (commercial grade) from peak to
-# peak (Dover Motion, motion control handbook). Period: pitch of usual screws.
+# peak (Dover Motion, motion control handbook). Period: pitch of common screws.
 _SCREW_UM, _SCREW_PERIOD_MM = (5.0, 10.0), (1.0, 2.0)
-# Hysteresis: difference of both directions of travel; assumption: an anti-backlash nut that is worn
+# Hysteresis: difference between the two directions of travel; assumption: a worn anti-backlash nut
 _HYSTERESIS_UM = 5.0
 # Pitch, yaw and roll over 20 mm, peak to valley; assumption: data sheets of crossed-roller stages state tens of urad
 _TURN_URAD, _TURN_TRAVEL_M, _KNOT_M = (30.0, 60.0), 0.020, 0.0025
 ARM_M = np.array([0.02, 0.08, 0.05])
-"""Arm (m) from the carriage's guide to the pupil, which its rotations displace; assumption: a camera on a bracket."""
-# Repeatability of a visit, standard deviations per axis. One axis alone has 1 um (data sheet of Optimal Engineering
+"""Arm (m) from the carriage's guide to the pupil, which rotations displace; assumption: a camera on a bracket."""
+# Repeatability of a visit, standard deviations per axis. A single axis has 1 um (data sheet of Optimal Engineering
 # Systems); assumption: three axes, a load and a cable.
 SHIFT_UM, WOBBLE_URAD, _WOBBLE_CORRELATION = 5.0, 15.0, 0.7
 # Print, rms per axis: assumption, a small part of the line accuracy of plotters, 0.1 % (data sheets of HP DesignJet)
 _PRINT_MM, _PRINT_LENGTH_M, _PRINT_WAVES = (0.03, 0.08), 0.08, 300
-# Feed: one swath of a print head of 0.85 inch, and the rms error of its place; printers correct the mean feed only
+# Feed: one swath of a print head of 0.85 inch, and the rms error of its position; printers correct only the mean feed
 # (United States patent on line feed error by roller diameters, Hewlett-Packard); size: assumption
 _SWATH_M, _FEED_MM = 0.0216, 0.03
-_SHEET_M = 0.6  # half the side of the sheet over which print errors have their stated rms
-# Board: range of its heights; assumption. Composite plates above 0.8 x 0.6 m need a frame to stay flat (calib.io,
+_SHEET_M = 0.6  # half the side of the sheet over which print errors have the stated rms
+# Board: range of the heights; assumption. Composite plates above 0.8 x 0.6 m need a frame to stay flat (calib.io,
 # "Calibration target substrates 101").
 _BOW_MM = (0.1, 0.3)
-# Lens: rms residual of parametric models; assumption. Its pattern is systematic and not radial (Schoeps et al., "Why
+# Lens: rms residual of parametric models; assumption. The pattern is systematic and not radial (Schoeps et al., "Why
 # having 10,000 parameters in your camera model is better than twelve", CVPR 2020).
 _LENS_PX = (0.1, 0.2)
-# Pupil: travel along the axis from middle to corner; assumption: a tenth of a fisheye lens's ("Calibration of fisheye
-# camera using entrance pupil", arXiv 1907.01759)
+# Pupil: travel along the axis from middle to corner; assumption: a tenth of the travel in fisheye lenses ("Calibration
+# of fisheye camera using entrance pupil", arXiv 1907.01759)
 _PUPIL_MM = (0.05, 0.2)
-# Drift: shift of the image from first to last photograph, change of scale at the corner in parts of it, and time
-# constant in parts of the session. Sensors of 3.45 um a pixel move by 3 um per kelvin of self-heating ("Modeling of
+# Drift: shift of the image from first to last photograph, change of scale at the corner in parts of the shift, and time
+# constant in parts of the session. Sensors of 3.45 um per pixel move by 3 um per kelvin of self-heating ("Modeling of
 # systematic errors in stereo-digital image correlation due to camera self-heating", Scientific Reports 9, 2019).
 _DRIFT_PX, _FOCAL_DRIFT, _DRIFT_TIME = (0.3, 0.5), 0.5, 1.0 / 3.0
 
 TAIL_DEGREES = 4.0
-"""Degrees of freedom of Student's t, of what is random; assumption."""
+"""Degrees of freedom of Student's t distribution, for random errors; assumption."""
 PICTURE = np.stack(np.meshgrid(np.linspace(-0.8, 0.8, 25), np.linspace(-0.6, 0.6, 19)), axis=-1).reshape(-1, 2)
-"""Image positions (n, 2) all over a picture, in half diagonals."""
-_BEYOND = 1.5  # half sizes of the board up to which its shape continues
+"""Image positions (n, 2) over the whole picture, in half diagonals."""
+_BEYOND = 1.5  # distance from the middle up to which the board's shape continues, in half sizes of the board
 _SQUARE = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 41)] * 2), axis=-1).reshape(-1, 2)
 
 
@@ -66,10 +66,10 @@ class Workshop:
     Attributes:
         seed: seed of all errors.
         level: common factor on all sizes: 1 for ordinary equipment, 0 for a perfect bench.
-        switches: names of the imperfections that are on, some of `SWITCHES`.
+        switches: names of the active imperfections, from `SWITCHES`.
 
     Raises:
-        BadInputError: an unknown switch, or a negative level.
+        BadInputError: a switch is unknown, or the level is negative.
     """
 
     seed: int
@@ -85,7 +85,7 @@ class Workshop:
             raise BadInputError(f"workshop: 'level' is {self.level}; give 0 or more.")
 
     def only(self, *names: str) -> Self:
-        """Return the same bench with these imperfections alone."""
+        """Return the same bench with only these imperfections."""
         return replace(self, switches=frozenset(names))
 
     def without(self, *names: str) -> Self:
@@ -105,7 +105,7 @@ class Workshop:
         return np.concatenate([turn, screw + hysteresis + np.cross(turn, ARM_M)], axis=1)
 
     def visit_motion(self, count: int, sweep: int) -> FloatArray:
-        """Return the random motion (count, 6) of the visits of a sweep; successive rotations are correlated."""
+        """Return the random motion (count, 6) in visits of a sweep, with correlated successive rotations."""
         rng = self._rng(f"repeatability {sweep}")
         shock, shift = student(rng, (count, 3)), student(rng, (count, 3))
         turn, kept = shock.copy(), _WOBBLE_CORRELATION
@@ -114,9 +114,9 @@ class Workshop:
         return 1e-6 * self._factor("repeatability") * np.concatenate([WOBBLE_URAD * turn, SHIFT_UM * shift], axis=1)
 
     def drift_px(self, part: FloatArray, unit: FloatArray) -> FloatArray:
-        """Return the image drift (m, n, 2) in pixels by a direction and a focal length that warm up.
+        """Return the image drift (m, n, 2), pixels, as direction and focal length change during warm-up.
 
-        It is 0 on average over the session: calibration of the bench takes the camera as it is on average.
+        The mean over the session is 0, because calibration of the bench determines the mean camera.
 
         Args:
             part: (m,) elapsed part of the session.
@@ -141,7 +141,7 @@ class Workshop:
         return np.asarray(1e-3 * self._factor("pupil") * rim * shape)
 
     def printed_m(self, place: FloatArray) -> FloatArray:
-        """Return displacements (..., 2) of the print, metres, at places (..., 2) on the board from its middle."""
+        """Return displacements (..., 2) of the print, metres, at positions (..., 2) from the board's middle."""
         if not self._factor("print"):
             return np.zeros(np.shape(place))
         mean, rms = self._sheet
@@ -150,10 +150,10 @@ class Workshop:
         return np.asarray(1e-3 * self._factor("print") * (smooth + feed))
 
     def height_m(self, unit: FloatArray) -> FloatArray:
-        """Return heights (...) of the board, metres, at places (..., 2) in half widths and half heights of the board.
+        """Return heights (...) of the board, metres, at positions (..., 2) in the board's half widths and half heights.
 
-        The plane that fits them best is removed, because a lab measures the board's pose. Far beyond the board the
-        height is constant.
+        The best-fitting plane is subtracted, because a lab measures the board's pose. Far beyond the board, the height
+        is constant.
         """
         unit = np.clip(unit, -_BEYOND, _BEYOND)
         plane, span = self._board_plane
@@ -167,7 +167,7 @@ class Workshop:
         return np.random.default_rng([self.seed, zlib.crc32(name.encode())])
 
     def _screw_um(self, reading: FloatArray) -> FloatArray:
-        """Return the periodic error (m, 3) along each axis."""
+        """Return the periodic screw error (m, 3) along each axis, micrometres."""
         rng = self._rng("screw")
         peak, period = rng.uniform(*_SCREW_UM, 3), rng.uniform(*_SCREW_PERIOD_MM, 3)
         phase = rng.uniform(0.0, 2.0 * np.pi, (3, 3))
@@ -177,7 +177,7 @@ class Workshop:
 
     @cached_property
     def _turns(self) -> "list[scipy.interpolate.PchipInterpolator]":
-        """Rotation vector (3,) in urad by the reading of each axis: a random walk of knots and a step; 0 at 0."""
+        """Rotation vector (3,), urad, by the reading of each axis: a random walk over knots, and a step; 0 at 0."""
         rng, half = self._rng("abbe"), 0.5 * _TURN_TRAVEL_M
         knots = np.arange(-4.0 * half, 4.0 * half + _KNOT_M, _KNOT_M)
         curves = []
@@ -229,14 +229,14 @@ class Workshop:
 
     @cached_property
     def _board_plane(self) -> tuple[FloatArray, float]:
-        """Slopes and offset (3,) of the plane that fits the board's shape, and the range of the rest."""
+        """Slopes and offset (3,) of the plane that fits the board's shape, and the range of the residual."""
         design = np.column_stack([_SQUARE, np.ones(len(_SQUARE))])
         shape = self._board_shape(_SQUARE)
         plane = np.linalg.lstsq(design, shape, rcond=None)[0]
         return np.asarray(plane), float(np.ptp(shape - design @ plane))
 
     def _board_shape(self, unit: FloatArray) -> FloatArray:
-        """Return a bow along a random direction, a curled edge and a dent (...)."""
+        """Return the sum (...) of a bow along a random direction, a curled edge and a dent."""
         rng = self._rng("bow shape")
         angle, centre, sign = rng.uniform(0.0, 2.0 * np.pi, 2), rng.uniform(-0.6, 0.6, 2), rng.choice([-1.0, 1.0], 3)
         across, towards = (unit @ np.array([np.cos(each), np.sin(each)]) for each in angle)
@@ -246,7 +246,7 @@ class Workshop:
 
 
 def travel_of(reading: FloatArray) -> FloatArray:
-    """Return the direction (m, 3) of the last move along each axis, +1 or -1; the stage comes from below."""
+    """Return the direction (m, 3) of the last move along each axis, +1 or -1; the first one is +1."""
     step = np.sign(np.diff(reading, axis=0, prepend=-np.ones((1, reading.shape[1]))))
     for visit in range(1, len(step)):
         step[visit] = np.where(step[visit] == 0.0, step[visit - 1], step[visit])
@@ -254,21 +254,21 @@ def travel_of(reading: FloatArray) -> FloatArray:
 
 
 def _screw_shape(turned: FloatArray, phase: FloatArray) -> FloatArray:
-    """Return a sine, its second harmonic and a rounded sawtooth (m, 3) of angles (m, 3), with phases (3, 3)."""
+    """Return the sum (m, 3) of a sine, its second harmonic and a rounded sawtooth, with phases (3, 3)."""
     saw = turned + phase[2]
     sawtooth = np.arctan2(0.9 * np.sin(saw), 1.0 - 0.9 * np.cos(saw))
     return np.asarray(np.sin(turned + phase[0]) + 0.35 * np.sin(2.0 * turned + phase[1]) + 0.5 * sawtooth)
 
 
 def student(rng: np.random.Generator, shape: tuple[int, ...], degrees: float = TAIL_DEGREES) -> FloatArray:
-    """Return numbers of variance 1 of Student's t distribution; infinite degrees of freedom give Gaussian ones."""
+    """Draw numbers with variance 1 from Student's t distribution; infinite degrees of freedom give Gaussian numbers."""
     if np.isinf(degrees):
         return rng.standard_normal(shape)
     return np.asarray(rng.standard_t(degrees, shape) * np.sqrt((degrees - 2.0) / degrees))
 
 
 def radius_of(unit: FloatArray) -> FloatArray:
-    """Return the distances (...) of places (..., 2) from the middle."""
+    """Return the distances (...) of positions (..., 2) from the middle."""
     return np.asarray(np.linalg.norm(unit, axis=-1))
 
 
