@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import trimesh
-from fitted_eyes import captures
+from fitted_eyes import captures, thinned
 from PIL import Image
 from small_headsets import changed_device
 
@@ -63,7 +63,8 @@ def make_bases(folder: Path) -> Path:
     _write_meshes(folder)
     _write_photographs(folder)
     seen = captures(str(device))
-    Captures(seen.display, seen.see_through).save(folder / "captures.npz")
+    display, see_through = seen.both
+    Captures(thinned(display), thinned(see_through)).save(folder / "captures.npz")
     fitted = calibrate(seen, "planar", 3, 2).mappings
     save_eye_models(folder / "model.json", [EyeModel(replace(fitted, name="fitted"), "no_optics")])
     _write_bench_session(folder / "bench")
@@ -131,7 +132,7 @@ def _write_photographs(folder: Path) -> None:
         write_photograph(folder / "codes" / f"{index:02d}.png", code.image(index) // 2 + 20)
         write_photograph(session / "shown" / f"{index:02d}.png", black)
     write_board_png(board, folder / "board.png", 60)
-    drawn = cv2.resize(cv2.imread(str(folder / "board.png"), cv2.IMREAD_GRAYSCALE), (640, 480))
+    drawn = cv2.resize(cv2.imread(str(folder / "board.png"), cv2.IMREAD_GRAYSCALE), (320, 240))
     for name in ("a_off", "a_on"):
         write_photograph(folder / "pairs" / f"{name}.png", np.ascontiguousarray(drawn))
 

@@ -180,10 +180,10 @@ STATION = {
     "frame": "openxr",
     "units": {"length": "m", "angle": "rad", "pixel": "px"},
     "eyeball_camera": {
-        "size_px": [640, 480],
+        "size_px": [320, 240],
         "kind": "brown",
-        "focal_px": [600.0, 600.0],
-        "centre_px": [320.0, 240.0],
+        "focal_px": [300.0, 300.0],
+        "centre_px": [160.0, 120.0],
         "distortion": [0.0, 0.0, 0.0, 0.0, 0.0],
     },
 }

@@ -79,6 +79,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "lens.xml": load_lens,
     "lens.cameramodel": load_lens,
     "codes/03.png": read_photograph,
+    "photos/bare.png": read_photograph,
     "lens.zmx": _read_optics,
     "lens.seq": _read_optics,
     "optiland.json": _read_optics,

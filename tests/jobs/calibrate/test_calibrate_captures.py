@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from browser import needs_browser, open_page
+from fitted_eyes import thinned
 from memo import memoised, shared_folder
 from present import as_number, narrowed, present
 
@@ -22,7 +23,7 @@ from wlr_render.calibration.fit_report import ErrorShare, FitReport, OneMore, Re
 from wlr_render.calibration.label_errors import LabelError
 from wlr_render.calibration.moved_captures import CaptureMotion, MotionAgreement
 from wlr_render.captures.capture_file import load_captures
-from wlr_render.captures.correspondences import AnyCaptures, Captures, DisplayCaptures, SeeThroughCaptures, select
+from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
@@ -68,11 +69,6 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Report]:
 def captures_of(calibrated: tuple[Path, Report]) -> Captures:
     """The captures of a calibration."""
     return load_captures(calibrated[0] / "captures-right.npz")
-
-
-def thinned(captures: AnyCaptures) -> AnyCaptures:
-    """Every fifth reading, which lie in all parts of the field: 525 are of each camera position."""
-    return select(captures, np.arange(len(captures)) % 5 == 0)
 
 
 def truth_errors(report: Report, column: str = "rms") -> dict[Any, Any]:
@@ -483,13 +479,8 @@ def test_a_prescription_without_the_eye_is_refused(calibrated: tuple[Path, Repor
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        (["--noise-arcmin", "-1"], "--noise-arcmin is -1.0; it must be between 0 and 600."),
-        (["--degree", "13"], "--degree is 13; it must be between 1 and 12."),
-        (["--kind", "cubic"], "Invalid value"),
         (["--kind", "grey-box"], "--kind grey-box needs --prescription DEVICE"),
         (["--kind", "static", "--prescription", "northstar"], "--prescription is not used by a static model"),
-        (["--prescription", "nothing"], "'nothing' is neither a file nor one of the shipped devices"),
-        (["--bench", "bench.toml"], "--bench is used with a bench session only, and birdbath28 is a device"),
     ],
 )
 def test_wrong_options_are_refused_in_one_line(
