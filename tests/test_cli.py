@@ -3,27 +3,23 @@
 import dataclasses
 import importlib
 import inspect
-import json
 import math
 import os
 import re
-import shutil
 import subprocess
 import sys
 import typing
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import pytest
 from command_line import refused
 from cyclopts import Parameter, UnknownOptionError
+from small_headsets import changed_device
 
 from wlr_render import __version__
 from wlr_render.cli import RENAMED, VERBS, Verb, main, make_app
-from wlr_render.errors import MissingGlError
-from wlr_render.gl import gl
-from wlr_render.io.atomic_files import resource
 from wlr_render.jobs.demo import DemoOptions
 from wlr_render.jobs.options import Range, flag_of
 from wlr_render.jobs.render_options import RenderOptions
@@ -38,15 +34,9 @@ HEAVY = (
 )
 
 
-def device(folder: Path, *changes: tuple[str, str]) -> str:
-    """A device without optics, 48 x 27 pixels, with some more text replaced: (old, new) pairs."""
-    text = resource("devices", "no_optics.toml").read_text(encoding="utf-8")
-    for old, new in (("[1280, 720]", "[48, 27]"), *changes):
-        assert old in text
-        text = text.replace(old, new)
-    path = folder / "device.toml"
-    path.write_text(text, encoding="utf-8")
-    return str(path)
+def device(folder: Path) -> str:
+    """A device without optics, 48 x 27 pixels."""
+    return changed_device(folder, "no_optics", ("[1280, 720]", "[48, 27]"))
 
 
 def run_python(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -146,41 +136,6 @@ def test_no_two_verbs_replace_each_others_reports_by_default() -> None:
         if field.name == "out"
     }
     assert len(set(out.values())) == len(out)
-
-
-STAND_IN = '#!/bin/sh\nprintf "%s" "$(basename "$0")"; printf " [%s]" "$@"; echo\n'
-
-
-@pytest.mark.parametrize(
-    ("arguments", "called"),
-    [
-        ([], "wlr-render [demo]"),
-        (["--eye", "left"], "wlr-render [demo] [--eye] [left]"),
-        (["render", "a b", "desk"], "wlr-render [render] [a b] [desk]"),
-        (["--version"], "wlr-render [--version]"),
-        (["--help"], "wlr-render [--help]"),
-        (["bench", "speed"], "python [-m] [benchmarks] [speed]"),
-    ],
-    ids=str,
-)
-def test_the_script_beside_the_package_runs_the_verbs(arguments: Sequence[str], called: str, tmp_path: Path) -> None:
-    """With stand-ins for the program and for what is installed already."""
-    bin_folder = tmp_path / ".venv" / "bin"
-    bin_folder.mkdir(parents=True)
-    for name in ("wlr", "pyproject.toml", "constraints.txt"):
-        shutil.copy(ROOT / name, tmp_path)
-    for name in ("wlr-render", "python"):
-        (bin_folder / name).write_text(STAND_IN)
-        (bin_folder / name).chmod(0o755)
-    stamp = subprocess.run("cat pyproject.toml constraints.txt | cksum", shell=True, cwd=tmp_path, capture_output=True)
-    (tmp_path / ".venv" / "wlr-stamp").write_bytes(stamp.stdout)
-    (tmp_path / ".venv" / "wlr-gl").write_text("egl\n")
-    result = subprocess.run([tmp_path / "wlr", *arguments], capture_output=True, text=True, timeout=60)
-    assert (result.returncode, result.stderr) == (0, "")
-    *own_help, last = result.stdout.splitlines()
-    assert last == called
-    described = [line.split("./wlr")[1].split()[0] for line in own_help if line.startswith("  ./wlr")]
-    assert ({"test", "check", "bench", "VERB"} <= set(described)) == (arguments == ["--help"])
 
 
 # What is refused.
@@ -300,136 +255,23 @@ def test_an_empty_value_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-def empty_mesh(folder: Path) -> str:
-    path = folder / "empty.ply"
-    header = ("ply", "format ascii 1.0", "element vertex 0", "property float x", "property float y", "property float z")
-    faces = ("element face 0", "property list uchar int vertex_indices", "end_header")
-    path.write_text("\n".join([*header, *faces]) + "\n")
-    return str(path)
-
-
-def mesh_with_nan(folder: Path) -> str:
-    path = folder / "nan.ply"
-    header = ("ply", "format ascii 1.0", "element vertex 3", "property float x", "property float y", "property float z")
-    faces = ("element face 1", "property list uchar int vertex_indices", "end_header")
-    path.write_text("\n".join([*header, *faces, "0 0 0", "1 nan 0", "0 1 0", "3 0 1 2"]) + "\n")
-    return str(path)
-
-
-def empty_obj(folder: Path) -> str:
-    path = folder / "empty.obj"
-    path.write_text("# nothing\n")
-    return str(path)
-
-
-def text_file(folder: Path, name: str, *lines: str) -> str:
-    path = folder / name
-    path.write_text("\n".join(lines) + "\n")
-    return str(path)
-
-
-def disordered_head(folder: Path) -> str:
-    return text_file(folder, "head.tum", "0.0 0 0 0 0 0 0 1", "0.2 0 0 0 0 0 0 1", "0.1 0 0 0 0 0 0 1")
-
-
-def eyes_outside(folder: Path) -> str:
-    header = ("# format: wlr-eye-trajectory 1", "# kind: viewpoint", "# frame: openxr-device", "# units: s m")
-    return text_file(folder, "eyes.txt", *header, "0.0 right 0.02 0 0", "0.1 right 0.02 0 0")
-
-
-FAULTS: dict[str, tuple[Callable[[Path], list[str]], str]] = {
-    "unknown device": (lambda f: ["trace", "nothstar"], "'nothstar' is neither a file nor one of the shipped devices"),
-    "unknown key": (
-        lambda f: ["trace", device(f, ("size_mm = [320.0, 180.0]", "size_mm = [320.0, 180.0]\ncolor = 3"))],
-        "unknown key 'color'",
-    ),
-    "wrong unit": (
-        lambda f: ["trace", device(f, ("centre_mm = [0.0, 0.0, 500.0]", "centre_m = [0.0, 0.0, 0.5]"))],
-        "key 'centre_mm' is missing (found 'centre_m' instead)",
-    ),
-    "no TOML": (lambda f: ["trace", text_file(f, "broken.toml", "name = ")], "broken.toml"),
-    "eye that is not there": (lambda f: ["trace", "no_optics", "--eye", "left"], "has no left eye; choose right"),
-    "unknown scene": (lambda f: ["render", device(f), "dest"], "Did you mean desk"),
-    "empty PLY": (lambda f: ["render", device(f), empty_mesh(f)], "empty.ply"),
-    "empty OBJ": (lambda f: ["render", device(f), empty_obj(f)], "empty.obj"),
-    "NaN in a mesh": (lambda f: ["render", device(f), mesh_with_nan(f)], "nan.ply: mesh"),
-    "times out of order": (
-        lambda f: ["render", device(f), "dots", "--head", disordered_head(f)],
-        "head.tum line 3: time 0.1 does not come after the row before it",
-    ),
-    "viewpoint outside in a track": (
-        lambda f: ["render", device(f), "dots", "--eye-track", eyes_outside(f)],
-        "eyes.txt at 0.0000 s, right eye: the viewpoint (20.00, 0.00, 0.00) mm lies outside the eye box",
-    ),
-    "contradiction": (
-        lambda f: ["render", device(f), "dots", "--shadows"],
-        "--shadows is used with --method raytrace only; leave it out, or give --method raytrace.",
-    ),
-    "endless frame rate": (
-        lambda f: ["render", device(f), "dots", "--fps", "inf"],
-        "--fps is inf; it must be a finite number above 0 and at most 1000.",
-    ),
-    "one colour of three": (
-        lambda f: ["render", device(f), "dots", "--red-model", "red.json"],
-        "--red-model and --blue-model go together; give both or neither.",
-    ),
-    "unknown choice": (lambda f: ["render", device(f), "dots", "--eye", "third"], '"third" for --eye'),
-    "no number": (lambda f: ["demo", "--viewpoints", "many"], "'many' is not a whole number"),
-    "fewer numbers": (lambda f: ["export", device(f), "--format", "npz", "--viewpoint-mm", "1"], "--viewpoint-mm"),
-    "too few viewpoints": (lambda f: ["demo", "--viewpoints", "4"], "--viewpoints is 4"),
-    "no model": (lambda f: ["render", str(f / "none.json"), "dots"], "none.json: there is no such file"),
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["trace", "nothstar"], "'nothstar' is neither a file nor one of the shipped devices"),
+        (["demo", "--viewpoints", "many"], "'many' is not a whole number"),
+        (["export", "no_optics", "--format", "npz", "--viewpoint-mm", "1"], "--viewpoint-mm"),
+        (
+            ["render", "no_optics", "dots", "--shadows"],
+            "--shadows is used with --method raytrace only; leave it out, or give --method raytrace.",
+        ),
+    ],
+)
 def test_a_fault_is_told_in_one_line_and_leaves_nothing_behind(
-    fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: Sequence[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    make, sentence = FAULTS[fault]
-    out = tmp_path / "out"
-    assert sentence in refused([*make(tmp_path), "--out", str(out)], capsys)
-    assert not out.exists() or not list(out.iterdir())
-
-
-def test_model_files_that_cannot_be_read_are_refused(
-    model_file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text = Path(model_file).read_text(encoding="utf-8")
-    short = text_file(tmp_path, "short.json", text[: len(text) // 2])
-    newer = text_file(tmp_path, "newer.json", json.dumps(json.loads(text) | {"version": 99}))
-    for path, sentence in ((short, "cannot be read as a model"), (newer, "has version 99; this program reads version")):
-        assert sentence in refused(["render", path, "dots", "--out", str(tmp_path / "out")], capsys)
-    left = refused(["render", model_file, "dots", "--eye", "left", "--out", str(tmp_path / "out")], capsys)
-    assert "is a model of the right eye" in left
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("verb", ["trace", "render", "demo"])
-def test_an_output_folder_that_is_a_file_is_refused(
-    verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = {
-        "trace": [device(tmp_path)],
-        "render": [device(tmp_path), "dots"],
-        "demo": ["--device", device(tmp_path)],
-    }
-    text_file(tmp_path, "taken", "a file")
-    sentence = refused([verb, *arguments[verb], "--out", str(tmp_path / "taken")], capsys)
-    assert "taken: cannot write to this output folder" in sentence
-    assert (tmp_path / "taken").read_text() == "a file\n"
-
-
-def test_missing_opengl_is_told_and_leaves_nothing_behind(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(backend: object = "auto") -> NoReturn:
-        raise MissingGlError("No OpenGL: install libegl1, or draw ray-traced frames.")
-
-    monkeypatch.setattr(gl, "open_context", refuse)
-    out = tmp_path / "out"
-    given = ["render", device(tmp_path), "dots", "--backend", "egl", "--out", str(out)]
-    assert "install libegl1" in refused(given, capsys)
-    assert not out.exists() or not list(out.iterdir())
+    assert sentence in refused([*arguments, "--out", str(tmp_path / "out")], capsys)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow
@@ -440,17 +282,6 @@ def test_debug_shows_where_a_fault_comes_from() -> None:
     assert "BadInputError" in result.stderr
     with pytest.raises(UnknownOptionError):
         main(["trace", "--nonsense", "--debug"])
-
-
-def test_an_interruption_has_its_own_status(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupt(*arguments: object, **options: object) -> NoReturn:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("wlr_render.jobs.trace.load_device", interrupt)
-    assert main(["trace", "northstar"]) == 130
-    assert capsys.readouterr().err == "wlr-render: interrupted; finished files are kept.\n"
 
 
 # What is printed, and what reaches the jobs.

@@ -70,8 +70,3 @@ def test_a_notebook_runs_and_prints_the_numbers_of_its_text(path: Path, tmp_path
 
 def test_every_notebook_is_tested() -> None:
     assert {path.stem for path in NOTEBOOKS} == set(WORDS)
-
-
-def test_numbers_in_prose_are_found_but_not_those_of_code_and_links() -> None:
-    cell = NBFORMAT.v4.new_markdown_cell("It is 0.25 in 16 of `case 3`, [here](02_b.ipynb).")
-    assert stated_numbers(NBFORMAT.v4.new_notebook(cells=[cell])) == {"0.25", "16"}

@@ -61,6 +61,29 @@ def test_an_environment_of_another_checkout_is_not_installed_into(tmp_path: Path
     assert not any(other.iterdir())
 
 
+STAND_IN = 'printf "%s" "$(basename "$0")"; printf " [%s]" "$@"; echo'
+
+
+@pytest.mark.parametrize(
+    ("arguments", "called"),
+    [
+        ([], "wlr-render [demo]"),
+        (["--eye", "left"], "wlr-render [demo] [--eye] [left]"),
+        (["render", "a b", "desk"], "wlr-render [render] [a b] [desk]"),
+        (["--version"], "wlr-render [--version]"),
+        (["--help"], "wlr-render [--help]"),
+        (["bench", "speed"], "python [-m] [benchmarks] [speed]"),
+    ],
+    ids=str,
+)
+def test_the_script_runs_the_verbs_of_the_program(arguments: Sequence[str], called: str, tmp_path: Path) -> None:
+    result = run_script(tmp_path, arguments, {"wlr-render": STAND_IN, "python": STAND_IN})
+    *own_help, last = result.stdout.splitlines()
+    assert (last, result.stderr) == (called, "")
+    described = [line.split("./wlr")[1].split()[0] for line in own_help if line.startswith("  ./wlr")]
+    assert ({"test", "check", "bench", "VERB"} <= set(described)) == (arguments == ["--help"])
+
+
 @pytest.mark.parametrize("verb", ["test", "check"])
 def test_tests_run_in_one_process_per_core_and_take_arguments(tmp_path: Path, verb: str) -> None:
     commands = {name: "" for name in ("ruff", "mypy", "lint-imports")} | {"python": 'printf "[%s] " "$@"; echo'}

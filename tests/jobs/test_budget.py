@@ -103,11 +103,7 @@ def test_an_old_model_is_told_how_to_get_a_covariance(small_panel_model: Eye, tm
     ("values", "sentence"),
     [
         ({"eye_noise_mm": (0.0005,)}, "--eye-noise-mm is 0.0005.* millimetres .is it in another unit"),
-        ({"eye_bias_mm": (-0.1,)}, "--eye-bias-mm is -0.1"),
         ({"eye_bias_mm": (0.1, 0.2)}, "--eye-bias-mm has 2 values"),
-        ({"depth_m": 500.0}, "--depth-m is 500.* metres .is it in another unit"),
-        ({"head_noise_deg": 0.0003}, "--head-noise-deg is 0.0003.* degrees"),
-        ({"eye_latency_ms": 0.045}, "--eye-latency-ms is 0.045.* milliseconds"),
     ],
 )
 def test_sizes_in_another_unit_are_asked_about(values: dict[str, Any], sentence: str) -> None:

@@ -206,8 +206,6 @@ def test_without_opengl_no_row_says_that_frames_were_rasterised(
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"viewpoints": 4}, "--viewpoints is 4; it must be between 5 and 1000"),
-        ({"device": "nothstar"}, "Did you mean northstar"),
         ({"scene": "sculptur"}, "Did you mean sculpture"),
         ({"device": "no_optics", "eye": "left"}, "no left eye"),
     ],

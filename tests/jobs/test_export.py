@@ -27,7 +27,6 @@ from wlr_render.exports.formats import FORMATS, FormatName
 from wlr_render.extras import MissingExtraError, install_command
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.io.escapes import markdown_text
-from wlr_render.io.input_files import LIMITS
 from wlr_render.io.kept import Kept
 from wlr_render.jobs.export import export, views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
@@ -289,10 +288,6 @@ def test_pupil_aside_costs_what_parallax_costs(straight_device: str, tmp_path: P
         ({"frame_limit": 3}, "--frames is used with --eye-track only"),
         ({"red_model": Path("red.json")}, "--red-model and --blue-model go together"),
         ({"source_size": (100, 100), "resolution": 2.0}, "--resolution has no effect with --source-size"),
-        ({"source_size": (LIMITS.picture_side + 1, 1)}, "--source-size"),
-        ({"format": "openfx"}, "choose from stmap"),
-        ({"pupils": 1}, "--pupils is 1"),
-        ({"depth_m": 500.0}, "metres"),
     ],
 )
 def test_what_does_not_go_together_is_refused(options: dict[str, Any], words: str) -> None:

@@ -1,15 +1,14 @@
 """Options check themselves: the command line and scripts are refused the same values in the same words."""
 
-import importlib
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, is_dataclass, replace
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pytest
 
-from wlr_render.cli import VERBS, Verb, main
+from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import shown
 from wlr_render.jobs.options import OnlyWith, Options, Range, described
@@ -35,7 +34,7 @@ class DrawOptions(Options):
         ({"rate": np.nan}, "--fps is nan; it must be a finite number above 0."),
         ({"depths_m": (1.0, 11.0)}, "--depths-m is 11.0; it must be between 0.1 and 10."),
         ({"limit": -(10**400)}, f"--limit is {shown(-(10**400))}; it must be a finite number of 1 or more."),
-        ({"limit": 0}, "--limit is 0; it must be a finite number of 1 or more."),
+        ({"method": "paint"}, "--method is paint; choose from raster, rays."),
         ({"size": (4000, 3000)}, "--size is 4000x3000; it must be at most 1000000 in all."),
         ({"shadows": True}, "--shadows is used with --method rays only; leave it out, or give --method rays."),
     ],
@@ -46,40 +45,10 @@ def test_values_out_of_range_and_unused_options_are_refused(values: dict[str, An
     assert str(refused.value) == sentence
 
 
-def options_of(verb: Verb) -> list[Any]:
-    """The dataclass of a verb's options, and those inside it."""
-    module, name = verb.function.split(":")
-    function = getattr(importlib.import_module(f"wlr_render.jobs.{module}"), name)
-    found = [hint for hint in get_type_hints(function).values() if isinstance(hint, type) and is_dataclass(hint)]
-    for each in found:
-        found += [hint for hint in get_type_hints(each).values() if isinstance(hint, type) and is_dataclass(hint)]
-    return [each for each in found if issubclass(each, Options)]
-
-
-def holds_numbers(hint: Any) -> bool:
-    return hint in (int, float) or (get_origin(hint) is not Literal and any(map(holds_numbers, get_args(hint))))
-
-
-@pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.words)
-def test_every_number_of_every_verb_has_limits_at_both_ends(verb: Verb) -> None:
-    for options in options_of(verb):
-        for name, hint in get_type_hints(options, include_extras=True).items():
-            if get_origin(hint) is Annotated and holds_numbers(get_args(hint)[0]):
-                (limits,) = (note for note in hint.__metadata__ if isinstance(note, Range))
-                low = max(limits.at_least, limits.above)
-                assert np.isfinite([low, limits.at_most]).all(), (options.__name__, name)
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["demo", "--viewpoints", "1000000000"], "--viewpoints is 1000000000; it must be between 5 and 1000"),
-        (["render", "northstar", "dots", "--fps", "1e9"], "--fps is 1000000000.0; it must be a finite number above 0"),
-        (["pattern", "--panel", "10000000x10000000"], "--panel is 10000000; it must be between 1 and 32766"),
-        (["pattern", "--panel", "32000x32000"], "--panel is 32000x32000; it must be at most 134217728 in all"),
         (["board", "--columns", "1000", "--rows", "999"], "999000 shapes; it must be at most 100000"),
-        (["simulate", "northstar", "--pupil-mm", "0"], "--pupil-mm is 0.0; it must be between 0.01 and 50"),
-        (["simulate", "northstar", "--depths-m", "0.5", "1e9"], "--depths-m is 1000000000.0; it must be between"),
         (
             ["simulate", "northstar", "--depths-m", *map(str, range(1, 22))],
             "--depths-m 21 are 21 distances; it must be at most",
@@ -88,7 +57,6 @@ def test_every_number_of_every_verb_has_limits_at_both_ends(verb: Verb) -> None:
             ["simulate", "northstar", "--viewpoints", "1000", "--depths-m", *map(str, range(1, 11))],
             "are 10000 photographs",
         ),
-        (["plan", "northstar", "--camera", "1x1"], "--camera is 1; it must be between 64 and"),
         (["plan", "northstar", "--depths-m", *map(str, range(1, 22))], "--depths-m 21 are 21 distances"),
         (["pattern", "--panel", "8x8", "--photograph", "nowhere {path}"], "the program 'nowhere' is not installed"),
         (["decode", "s", "--panel", "8x8", "--bits", "12", "--camera", "c.toml"], "both state the bits"),
@@ -116,8 +84,3 @@ def test_only_the_output_folder_in_use_must_be_usable(
     assert main(["board", "--out", "elsewhere"]) == 0
     assert main(["board"]) == 2
     assert "out/board: cannot write to this output folder" in capsys.readouterr().err
-
-
-def test_good_values_pass() -> None:
-    options = DrawOptions("desk", method="rays", shadows=True, rate=0.5, limit=1)
-    assert replace(options, limit=3).limit == 3

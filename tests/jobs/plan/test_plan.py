@@ -332,12 +332,8 @@ def test_captures_without_see_through_are_refused(bench: PlannedBench, tmp_path:
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--accuracy-arcmin", "0"], "--accuracy-arcmin is 0.0; it must be between 0.001 and 600."),
-        (["--repeatability-um", "-1"], "--repeatability-um is -1.0; it must be between 0 and 10000."),
         (["--depths-m", "0.5", "0.5"], "see-through needs targets at two distances at least"),
-        (["--most-places", "5"], "--most-places is 5; it must be between 9 and 200."),
         (["--add", "3"], "--add is used with --calibration only"),
-        (["--calibration", "nowhere"], "nowhere/captures-right.npz: there is no such file"),
         (["--eye", "left"], "has no left eye"),
     ],
 )
