@@ -1,6 +1,6 @@
 """Limits of numbers that several verbs take.
 
-A value beyond them is a slip, a wrong unit, or more than the memory, the disk or a day can hold.
+A value beyond them is a slip, a wrong unit, or more than memory, disk or a day of computing allows.
 """
 
 from wlr_render.io.input_files import LIMITS

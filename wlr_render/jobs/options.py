@@ -1,7 +1,7 @@
 """Options of jobs: a frozen dataclass each, whose fields state help text, unit, range and default once.
 
-The command line is generated from them and converts its text to their types; ranges and choices they check themselves,
-so that a script and the terminal are refused the same values in the same words.
+The command line is generated from them and converts its text to their types. The dataclasses check ranges and choices,
+so that scripts and the terminal get the same error messages.
 """
 
 import contextlib
@@ -26,10 +26,10 @@ from wlr_render.work.workers import WorkerPool
 
 @dataclass(frozen=True)
 class Range:
-    """Limits of a number, or of each number of a sequence, and of the product of the numbers of a size.
+    """Limits of a number, of each number of a sequence, and of the product of the numbers of a size.
 
-    Both ends are stated for every option: beyond them a value is a typo, or would fill the disk or the memory.
-    A value other than 0 and below `least_size` is most likely in another unit than `unit`.
+    Every option states both ends: a value beyond them is a typo, or would fill the disk or the memory.
+    A value other than 0 and below `least_size` is most likely not in `unit`.
     """
 
     at_least: float = -math.inf
@@ -40,7 +40,7 @@ class Range:
     unit: str = ""
 
     def sentence(self) -> str:
-        """Return the limits in words, with a question if the unit may have been missed."""
+        """Return the limits in words, with a question about the unit if there is one."""
         return self.short() + (" (is it in another unit?)" if self.unit else "")
 
     def short(self) -> str:
@@ -58,14 +58,14 @@ class Range:
 
     def admits(self, value: float) -> bool:
         """Return whether a number lies within the limits."""
-        # Infinity is compared as well: a whole number may be too large for `math.isfinite`.
+        # Compare with infinity, because `math.isfinite` fails for very large whole numbers.
         is_within = -math.inf < value < math.inf and self.at_least <= value <= self.at_most and value > self.above
         return is_within and not 0 < value < self.least_size
 
 
 @dataclass(frozen=True)
 class OnlyWith:
-    """The option applies only if another option has one of these values, or if it is given at all."""
+    """Condition for an option: another option has one of these values or, without values, is given."""
 
     option: str
     values: tuple[object, ...] = ()
@@ -84,9 +84,9 @@ def described(
     many: bool = False,
     group: Group | None = None,
 ) -> Parameter:
-    """Return the help text of an option, under the heading `group`.
+    """Return the parameter of an option with its help text, under the heading `group`.
 
-    `name` (or several) replaces the field's, `many` takes several values.
+    `name` (or several) replaces the name of the field; `many` allows several values.
     """
     listed = (lambda values: " ".join(map(str, values))) if many else None
     stated = Parameter(help=text, name=name, show_default=False if flag else listed, consume_multiple=many or None)
@@ -94,7 +94,7 @@ def described(
 
 
 def option_group(title: str, order: int) -> Group:
-    """Return a heading for options in --help; groups stand there by `order`, below the options without one."""
+    """Return a heading for options in --help; headings are sorted by `order`, below options without a heading."""
     return Group(title, sort_key=order)
 
 
@@ -137,10 +137,10 @@ class Options:
         return stated
 
     def _check_product(self, at_most: int, what: str, *names: str) -> None:
-        """Limit the number of things that several options multiply to.
+        """Limit the product of several options.
 
         Raises:
-            BadInputError: there are more.
+            BadInputError: the product exceeds the limit.
         """
         counts = [len(each) if isinstance(each, tuple) else each for each in (getattr(self, name) for name in names)]
         if math.prod(counts) > at_most:
@@ -206,7 +206,7 @@ def _notes(hint: object) -> tuple[object, ...]:
 
 
 def _choices(hint: object) -> tuple[object, ...]:
-    """Values that a type admits if it is a Literal, or a Literal or None; empty for other types."""
+    """Return the values of a type that is a Literal, with or without None; empty for other types."""
     if typing.get_origin(hint) is Literal:
         return typing.get_args(hint)
     parts = typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, types.UnionType) else ()
@@ -264,7 +264,7 @@ Against = Annotated[
 class SpreadOptions(Options):
     """Base of the options of verbs whose work is spread over processes or machines."""
 
-    # No fields of the base, which would stand before a verb's own ones: each verb states them where they belong.
+    # Only annotations: as fields of the base they would precede a verb's options. Each verb states them in place.
     workers: int | None
     scheduler: str | None
 
@@ -284,7 +284,7 @@ Degree = Range(at_least=1, at_most=12)
 
 
 def described_size(text: str, *, optional: bool = False, in_mm: bool = False, group: Group | None = None) -> Parameter:
-    """Help text of an option that is a size in pixels, e.g. 1920x1080, or in millimetres, e.g. 10.1x5.7."""
+    """Return the parameter of a size option, in pixels, e.g. 1920x1080, or in millimetres, e.g. 10.1x5.7."""
     kind, wanted = (float, "mm, e.g. 10.1x5.7") if in_mm else (int, "pixels, e.g. 1280x1024")
 
     def converted(_: type, tokens: Sequence[Token]) -> tuple[float, ...]:

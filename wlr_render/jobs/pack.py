@@ -1,7 +1,7 @@
 """Pack the frames of `render` as a data set: WebDataset's tar files, or an image folder of Hugging Face's `datasets`.
 
-A sample is one frame of one eye: the picture, its layers and its metadata, all named after the frame. A pack that is
-interrupted leaves nothing.
+A sample is one frame of one eye: the picture, its layers and its metadata, all named after the frame. An interrupted
+run leaves no files.
 """
 
 import contextlib
@@ -48,9 +48,9 @@ def pack_frames(
     Args:
         folder: folder of the frames.
         frames: file name and facts of each frame.
-        sources: what all frames show, for their metadata.
+        sources: sources of all frames, for their metadata.
         options: options of `render`.
-        progress: counts the frames.
+        progress: progress, counted in frames.
 
     Returns:
         The tar files, or the metadata file.
@@ -61,7 +61,7 @@ def pack_frames(
     final, temporary = folder / str(options.pack), output_folder(folder) / _TEMPORARY
     _refuse_others(final)
     samples = progress(_samples(folder, frames, sources, options), len(frames), "frames of the data set")
-    shutil.rmtree(temporary, ignore_errors=True)  # left by a killed run; the lock keeps other runs out of this folder
+    shutil.rmtree(temporary, ignore_errors=True)  # left by a killed run; other runs are locked out of this folder
     try:
         with disk_errors(temporary):
             temporary.mkdir()
@@ -79,7 +79,7 @@ def pack_frames(
 
 
 def _refuse_others(folder: Path) -> None:
-    """Reject a folder with files outside a data set of `render`, because the data set would replace them."""
+    """Reject a folder with files that are not of a data set of `render`, because the data set would replace them."""
     if not folder.exists():
         return
     with disk_errors(folder):
@@ -104,7 +104,7 @@ def _samples(
 
 
 def _write_shards(out: Path, samples: Iterator[_Sample], count: int) -> list[Path]:
-    """Tar files of `count` samples each; the same frames give the same bytes."""
+    """Write tar files of `count` samples each, deterministically: the same frames give the same bytes."""
     written: list[Path] = []
     for first in samples:
         path = out / _SHARD.format(len(written))
@@ -142,6 +142,6 @@ def _write_image_folder(folder: Path, samples: Iterator[_Sample]) -> Path:
 
 
 def _columns(objects: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Annotations as a list for each key, as `datasets` has detected objects; masks are in the layers."""
+    """Return annotations as one list per key, the form of objects in `datasets`; the layers have the masks."""
     names = ("instance_id", "instance", "category", "bbox", "area")
     return {name: [each[name] for each in objects] for name in names}

@@ -14,16 +14,16 @@ from wlr_render.tracking.text_rows import read_text_table
 
 _COLUMNS = ("x_mm", "y_mm", "z_mm")
 _ORDER_SEED = 1
-_BEYOND = 1.05  # largest distance over the reach: a plan of places to add takes the reach from captures
+_BEYOND = 1.05  # largest distance over the reach, which a plan of places to add takes from captures
 
 
 def in_random_order(places: FloatArray) -> FloatArray:
-    """Return the places (m, 3) in an order by which nothing that changes with time looks like optics."""
+    """Return the places (m, 3) in random order, so that drifts over time do not look like optics."""
     return np.asarray(places[np.random.default_rng(_ORDER_SEED).permutation(len(places))])
 
 
 def places_csv(places: FloatArray) -> str:
-    """Places (m, 3) from the centre of the eye box, metres, as CSV, in random order."""
+    """Return places (m, 3) from the centre of the eye box, metres, as CSV, in random order."""
     rows = [",".join(f"{1e3 * each:.3f}" for each in place) for place in in_random_order(places)]
     return "\n".join([",".join(_COLUMNS), *rows]) + "\n"
 
@@ -33,12 +33,12 @@ def read_places(path: Path, reach_m: FloatArray, axes: str, most: int) -> FloatA
 
     Args:
         path: the file.
-        reach_m: (3,) distance from the centre of the eye box, along each axis, up to which rays of the display pass.
+        reach_m: (3,) largest distance along each axis from the centre of the eye box that rays of the display reach.
         axes: axes of the stage that move, "xyz", "xy" or "x".
         most: largest number of places.
 
     Returns:
-        (m, 3) from the centre of the eye box, millimetres, in the order of the file.
+        Places (m, 3) from the centre of the eye box, millimetres, in the order of the file.
 
     Raises:
         BadInputError: the file is missing or has other columns or too many rows, a cell is not a number, or a place is

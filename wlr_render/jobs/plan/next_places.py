@@ -1,4 +1,4 @@
-"""Camera places to add to a calibration, each where it lowers the predicted registration error most."""
+"""Camera places to add to a calibration, each chosen to lower the predicted registration error most."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,9 +23,9 @@ from wlr_render.planning.planned_bench import PlannedBench
 from wlr_render.planning.planned_errors import FAR_M, NEAR_M, EyeTests, PlannedFit, registration_variance
 from wlr_render.report.blocks import Block, Cell, Columns, Number, Report, table
 
-_ROWS = 220  # rows of each capture, with a smaller sigma for the same information at less cost
+_ROWS = 220  # most rows of each capture; a smaller sigma gives them the same information at less cost
 _TESTS = 800
-_WORTH = 0.02  # smallest gain, as a share of the error
+_WORTH = 0.02  # smallest gain worth another place, as a share of the error
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def plan_next_places(
         folder: folder with captures-EYE.npz.
         accuracy_arcmin: goal for the registration error of 95 % of the eye box.
         most: largest number of places.
-        say: shows the current step.
+        say: called with a sentence at each step.
 
     Raises:
         BadInputError: the folder has no captures of this eye, or they lack the display or see-through.
@@ -81,7 +81,7 @@ def plan_next_places(
 
 
 def _thinned(captures: AnyCaptures) -> AnyCaptures:
-    """Fewer rows of each capture, with smaller sigma instead."""
+    """Return fewer rows of each capture, with a smaller sigma instead."""
     rng, kept, factor = np.random.default_rng(0), [], np.ones(len(captures))
     pose = getattr(captures, "target_pose", np.zeros(len(captures), dtype=np.int64))
     for name in np.unique(np.stack([captures.capture, pose], axis=1), axis=0):
@@ -93,7 +93,7 @@ def _thinned(captures: AnyCaptures) -> AnyCaptures:
 
 
 def _tests(fit: PlannedFit, shown: DisplayCaptures) -> EyeTests:
-    """Random viewpoints, and directions that the captures saw, as the models have them."""
+    """Return tests at random viewpoints and captured pixels, with directions and points from the models."""
     rng = np.random.default_rng(0)
     viewpoint = shown.eye_box.at(rng.uniform(-1.0, 1.0, (_TESTS, 3)))
     pixel = shown.pixel[rng.integers(0, len(shown), _TESTS)]
@@ -111,7 +111,7 @@ def _with_places(fit: PlannedFit, places: FloatArray, tests: EyeTests) -> _Step:
 
 
 def _predicted(display: FittedDisplay, see_through: FittedSeeThrough, tests: EyeTests) -> Summary:
-    """Registration error: median and 95 % of the lengths of random errors."""
+    """Return the predicted registration error: a summary of the lengths of random errors."""
     sigma = np.sqrt(registration_variance(display, see_through, tests.pixel, tests.viewpoint, tests.point))
     return summary(sigma / np.sqrt(2.0) * np.random.default_rng(0).rayleigh(1.0, (8, len(sigma))))
 

@@ -17,7 +17,7 @@ from wlr_render.report.plots import axis, curves
 
 _CELLS = 25  # cells of the map, across the eye box
 _FIGURES = ("median (arcmin)", "95 % (arcmin)")
-_WORTH = 0.05  # part of the error that a change takes away, to be named
+_WORTH = 0.05  # smallest share of the error removed by a change that the report names
 
 
 def plan_report(search: DesignSearch, accuracy_arcmin: float, seconds: float) -> Report:
@@ -68,7 +68,7 @@ def plan_report(search: DesignSearch, accuracy_arcmin: float, seconds: float) ->
 
 
 def places_table(places: FloatArray) -> ReportTable:
-    """Places (m, 3) from the centre of the eye box, in random order."""
+    """Tabulate places (m, 3) from the centre of the eye box, in random order."""
     rows: list[list[Cell]] = [
         [number, *(Number(1e3 * each, "+.3f") for each in place)]
         for number, place in enumerate(in_random_order(places))
@@ -84,7 +84,7 @@ def places_table(places: FloatArray) -> ReportTable:
 def error_map(
     display: FittedDisplay, see_through: FittedSeeThrough, eye_box: EyeBox, places: FloatArray, tests: EyeTests
 ) -> Plot:
-    """Predicted registration error over the eye box in its middle plane, with camera places (m, 3)."""
+    """Plot the predicted registration error over the middle plane of the eye box, with camera places (m, 3)."""
     half = 0.5 * eye_box.size[:2]
     x, y = (np.linspace(-each, each, _CELLS) for each in half)
     grid = np.stack([*np.meshgrid(x, y), np.zeros((_CELLS, _CELLS))], axis=-1).reshape(-1, 3)
@@ -197,7 +197,7 @@ def _curves(search: DesignSearch, accuracy_arcmin: float) -> Plot:
 
 
 def _gains(search: DesignSearch) -> list[tuple[float, str, float]]:
-    """Relative gain, name and 95 % registration error of each change, the largest gain first."""
+    """Return relative gain, name and 95 % registration error of each change, the largest gain first."""
     now = search.recommended.p95
     found = [(1.0 - each.registration.p95 / now, name, each.registration.p95) for name, each in search.limits.items()]
     return sorted(found, reverse=True)
