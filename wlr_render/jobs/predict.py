@@ -1,4 +1,4 @@
-"""Predict the captures of a session with a bench model found elsewhere, and say how well that succeeds."""
+"""Predict the captures of a session with a bench model from elsewhere, and report how well it predicts them."""
 
 import shlex
 from collections.abc import Iterator, Sequence
@@ -80,7 +80,7 @@ def _bench_file(given: Path) -> Path:
     """Return the bench file that an argument names.
 
     Raises:
-        BadInputError: it does not exist; for the report folder of `diagnose`, the message says which folder to name.
+        BadInputError: it does not exist; for the report folder of `diagnose`, the message names the right folder.
     """
     path = given / "bench.toml" if given.is_dir() else given
     if path.is_file():
@@ -102,7 +102,7 @@ def _other_poses(stated: Bench, own: Bench, path: Path) -> list[str]:
 
 
 def _verdict(found: BenchPrediction, bench: Path) -> Iterator[str]:
-    """Yield whether the bench predicts the session to noise and repeatability, and a sentence on each part."""
+    """Yield the verdict, whether the bench predicts the session to noise and repeatability, and a sentence per part."""
     count = len(found.captures)
     captures = f"the {count} captures of {found.session}" if count > 1 else f"the only capture of {found.session}"
     good, bad = ([part.name for part in found.parts if part.is_noise is wanted] for wanted in (True, False))
@@ -120,7 +120,7 @@ def _verdict(found: BenchPrediction, bench: Path) -> Iterator[str]:
 
 
 def _part_sentence(part: PredictedPart, session: str) -> str:
-    """Residual, noise, repeatability, and the comparison with the session's own bench."""
+    """Return a sentence on residual, noise and repeatability, and the comparison with the session's own bench."""
     noise = [f"noise {part.noise_arcmin:.3g}'"]
     noise += [f"errors of the bench's effects {part.effects_arcmin:.2g}'"] if part.effects_arcmin > 0.0 else []
     if part.shift_um is not None and part.is_noise:
@@ -138,7 +138,7 @@ def _part_sentence(part: PredictedPart, session: str) -> str:
 
 
 def _is_better(part: PredictedPart) -> bool:
-    """Return whether a part is clearly better predicted than by the session's own bench."""
+    """Return whether the bench predicts a part clearly better than the session's own bench does."""
     own = part.by_own_bench
     return own is not None and own > (1.0 + MATERIAL_VARIANCE) * part.reduced_chi_squared
 
@@ -195,7 +195,7 @@ def _tables(found: BenchPrediction) -> Iterator[Block]:
 
 
 def _columns(first: str, found: BenchPrediction) -> Columns:
-    """Return the columns of a table of groups; the session's own bench has one if it is known."""
+    """Return the columns of a table of groups, with one for the session's own bench if it is known."""
     own = {} if found.by_own_bench is None else {"by the session's own bench": "by_own_bench"}
     has_errors = any(part.effects_arcmin > 0.0 for part in found.parts)
     effects = {"errors of the bench's effects (arcmin)": "effects_arcmin"} if has_errors else {}
@@ -223,7 +223,7 @@ def _captures_plot(found: BenchPrediction) -> Plot:
 
 
 def _maps(found: BenchPrediction) -> Iterator[Plot]:
-    """Yield maps of residuals over the camera's image, of the captures that are predicted worst."""
+    """Yield residual maps over the camera's image, of the captures that are predicted worst."""
     observations = found.observations
     plan, readings = observations.session.plan, observations.session.readings
     places = {

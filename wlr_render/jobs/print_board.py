@@ -51,7 +51,7 @@ def board(options: BoardOptions = BoardOptions(), *, progress: ProgressArgument 
     """
     designed = _designed(options)
     folder = output_folder(options.out)
-    picture = write_board_png(designed, folder / "board.png", options.dpi)  # first, as it alone may be refused
+    picture = write_board_png(designed, folder / "board.png", options.dpi)  # first: only this file may be refused
     files = [write_board_svg(designed, folder / "board.svg"), picture, save_board(designed, folder / "board.toml")]
     advice = ["Print board.svg at its true size, and put board.toml into the session's folder."]
     return Report("Board", f"A {designed.title}.", advice, files=files, stem="")

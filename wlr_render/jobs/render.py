@@ -1,8 +1,8 @@
 """Draw frames for a still or moving wearer, one PNG per eye and time stamp.
 
-Frames are written atomically, and listed with their facts when all their files are there, so that an interrupted
-sequence resumes where it stopped. `metadata.jsonl` has a row for each frame in the end. A frame does not depend on
-previously drawn frames. Layers and labels of a frame are in `frame_labels.py`.
+Frames are written atomically, and listed with their facts once all their files exist, so that an interrupted sequence
+resumes where it stopped. At the end, `metadata.jsonl` has a row for each frame. A frame does not depend on previously
+drawn frames. `frame_labels.py` writes the layers and labels of a frame.
 """
 
 import contextlib
@@ -46,17 +46,17 @@ from wlr_render.scene.image_files import read_png, write_video
 from wlr_render.work.progress import SILENT, Progress
 
 _MOST_NAMES = 10  # largest number of changed frames in a warning
-_MOST_PLOTTED = 1000  # frames of an eye in a plot, about
-_ERROR_BYTES, _MISALIGNMENT_BYTES = 2500, 400  # most of a frame's facts: some 25 sources of errors; five figures
+_MOST_PLOTTED = 1000  # approximate largest number of an eye's frames in a plot
+_ERROR_BYTES, _MISALIGNMENT_BYTES = 2500, 400  # most bytes of a frame's facts: some 25 error sources; five figures
 
 
 @job
 def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Draw the frames of a moving wearer that `options.out` does not hold yet.
+    """Draw the frames of a moving wearer that `options.out` does not contain yet.
 
     Raises:
-        BadInputError: faulty files, viewpoints that are all outside the eye box, or a folder that holds frames of
-            another job; nothing is written then.
+        BadInputError: faulty files, viewpoints that are all outside the eye box, or a folder with frames of another
+            job; nothing is written then.
     """
     opened = OpenedFiles.of(options)
     raster = open_raster(options, opened.scene)
@@ -105,7 +105,7 @@ def _kept(
 ) -> Kept:
     """Open the ledger of the frames.
 
-    Trajectories are compared by the facts of the frames: a longer recording continues a sequence.
+    Trajectories are compared by the facts of the frames, so that a longer recording can continue a sequence.
 
     Raises:
         BadInputError: the folder has frames of other options, files or trajectories.
@@ -185,7 +185,7 @@ def _source_tables(eyes: Mapping[str, Sequence[Facts]]) -> list[ReportTable]:
 
 
 def _over_frames(frames: Sequence[Facts]) -> Facts:
-    """Return the rms over frames of their predicted errors, and of each source's, the largest first."""
+    """Return the rms of the predicted errors over frames, and of each source's, the largest first."""
     square = dict[str, float]()
     for frame in frames:
         for each in frame["sources"]:
@@ -201,7 +201,7 @@ def _largest(kind: str, name: str) -> Callable[[Sequence[Facts]], Cell]:
 
 
 def _misalignment_plot(eyes: Mapping[str, Sequence[Facts]]) -> list[Plot]:
-    """Misalignment over time, if there are several frames."""
+    """Plot the misalignment over time, if there are several frames."""
     lines = {}
     for eye, own in eyes.items():
         plotted = own[:: max(1, len(own) // _MOST_PLOTTED)]

@@ -205,7 +205,7 @@ class RenderOptions(SpreadOptions):
     against: Against = None
 
     def __post_init__(self) -> None:
-        """Check that the models of red and blue light come together, and that several frames have a trajectory."""
+        """Check that red and blue models are given together, and that several frames have a trajectory."""
         super().__post_init__()
         if self.frame_limit not in (None, 1) and self.head is None and self.eye_track is None:
             raise BadInputError(

@@ -38,7 +38,7 @@ from wlr_render.report.blocks import Report
 from wlr_render.work.progress import SILENT, Progress
 
 _LOOK_S = 0.1
-_STABLE_S = 0.4  # camera programs write a file within one transfer; none pauses for so long
+_STABLE_S = 0.4  # time without a change after which a file is complete: no camera program pauses for so long
 _CAMERA = option_group("Photographs", 1)
 _BLACK_S = 2.0  # longest wait for a black page at the end
 Suffix = Literal[".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".npy", ".dng"]
@@ -118,8 +118,8 @@ def pattern(options: PatternOptions, *, progress: ProgressArgument = SILENT) -> 
     folder does not have yet are taken.
 
     Raises:
-        BadInputError: no such code can be made, the folder holds other photographs, the page is not opened or does not
-            show a picture, or a photograph is not taken; those taken are kept.
+        BadInputError: no such code can be made, the folder has other photographs, the page is not opened or does not
+            show a picture, or a photograph is not taken; photographs taken before are kept.
     """
     if options.photograph is not None:
         return _photographed(options, options.photograph, progress)
@@ -132,7 +132,7 @@ def pattern(options: PatternOptions, *, progress: ProgressArgument = SILENT) -> 
 
 
 def _photographed(options: PatternOptions, command: str, progress: Progress) -> Report:
-    """Photograph the pictures of which `options.out` has no photograph yet."""
+    """Photograph the pictures that have no photograph in `options.out` yet."""
     _require_program(words_of(command)[0])
     code = make_pattern(options.pattern, Panel(*options.panel))
     folder = output_folder(options.out)
@@ -153,7 +153,7 @@ def _photographed(options: PatternOptions, command: str, progress: Progress) -> 
                     finished.begin()
                     take_photograph(command, paths[number], options.timeout_s)
                     finished.add(signatures_of([paths[number]]))
-                with contextlib.suppress(BadInputError):  # the photographs are complete, whether or not it turns black
+                with contextlib.suppress(BadInputError):  # the photographs are complete even if this fails
                     page.show(len(paths), _BLACK_S)
     return Report(
         "Pattern, photographed",
@@ -165,7 +165,7 @@ def _photographed(options: PatternOptions, command: str, progress: Progress) -> 
 
 
 def _require_program(name: str) -> None:
-    """Refuse a command that cannot be run, before anybody opens the page."""
+    """Refuse a command that cannot be run, before the user opens the page."""
     if shutil.which(name) is None:
         raise BadInputError(
             f"--photograph: the program {shown(name)} is not installed; install it, or correct its name."
@@ -173,7 +173,7 @@ def _require_program(name: str) -> None:
 
 
 def _refuse_others(folder: Path, paths: list[Path]) -> None:
-    """Refuse photographs of something else in the folder: they would be read as part of the code."""
+    """Refuse a folder with other photographs, which would be read as part of the code."""
     found = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
     others = sorted(path.name for path in set(found) - set(paths))
     if others:
@@ -186,7 +186,7 @@ def words_of(command: str) -> list[str]:
     """Split a command as a shell does; `{path}` is replaced by the photograph's file.
 
     Raises:
-        BadInputError: it has no `{path}`, or a quote that is not closed.
+        BadInputError: the command has no `{path}`, or an unclosed quote.
     """
     try:
         words = shlex.split(command)
@@ -201,7 +201,7 @@ def words_of(command: str) -> list[str]:
 
 
 def take_photograph(command: str, path: Path, timeout_s: float) -> None:
-    """Run a command and wait until it has written a file, whose name starts with a dot until it is complete.
+    """Run a command and wait until it has written a file; the file's name starts with a dot until it is complete.
 
     Raises:
         BadInputError: the command cannot be run or fails, or no complete file exists after `timeout_s`.
@@ -211,7 +211,7 @@ def take_photograph(command: str, path: Path, timeout_s: float) -> None:
     partial.unlink(missing_ok=True)
     words = [word.replace("{path}", str(partial)) for word in words_of(command)]
     named = f"{path}: was not taken: `{shlex.join(words)}`"
-    # No pipe: one would be waited for as long as a program lives that the command leaves behind.
+    # No pipe: reading it would wait for any program that the command leaves running.
     with tempfile.TemporaryFile(mode="w+", errors="replace") as output:
         try:
             status = subprocess.run(words, stdout=output, stderr=subprocess.STDOUT, timeout=timeout_s).returncode

@@ -162,7 +162,7 @@ class SimulateOptions(SpreadOptions):
 
     @property
     def recipe(self) -> SimulationRecipe:
-        """The device and the bench.
+        """Recipe of the simulation: the device and the bench.
 
         Raises:
             BadInputError: an unknown device or eye, or a faulty file of places.
@@ -188,7 +188,7 @@ class SimulateOptions(SpreadOptions):
 
     @property
     def _imperfections(self) -> BenchImperfections:
-        """Imperfections of ordinary equipment or none, with the given sizes."""
+        """Imperfections of ordinary or perfect equipment, with the sizes given as options."""
         given: dict[str, Any] = {each.name: getattr(self, each.name, None) for each in fields(BenchImperfections)}
         usual = BenchImperfections.none() if self.perfect else BenchImperfections()
         return replace(usual, **{name: size for name, size in given.items() if size is not None})
@@ -199,7 +199,7 @@ def simulate(options: SimulateOptions, *, progress: ProgressArgument = SILENT) -
     """Take the photographs; writes them, session.toml, the board and simulation.toml into `options.out`.
 
     Raises:
-        BadInputError: an unknown device or eye, or the folder holds a session made in another way.
+        BadInputError: an unknown device or eye, or a folder with a session of other options.
     """
     made = simulate_photo_session(options.out, options.recipe, options.worker_pool, progress)
     too_small = [f"{each} Calibration cannot use them." for each in unreadable_targets(options.recipe.build())]
@@ -213,7 +213,7 @@ def simulate(options: SimulateOptions, *, progress: ProgressArgument = SILENT) -
 
 
 def retaken_warnings(changed: Sequence[Path]) -> list[str]:
-    """Warning of photographs of an earlier run that were not as it had left them."""
+    """Return a warning on photographs of an earlier run that had been changed since."""
     if not changed:
         return []
     return [f"{changed[0]}: this photograph, one of {len(changed)}, had changed; they were taken again."]

@@ -27,11 +27,11 @@ from wlr_render.work.progress import SILENT
 MIN_PANEL_SHARE = 0.5
 """A prescription that shows less of its nominal field than this most likely has a wrong sign."""
 
-_MANY_LOST = 0.2  # share of all rays that a surface must lose to be named
-_FAR_PER_M = 1e-3  # an image farther than a kilometre is at infinity
-_TOO_NEAR_PER_M = 8.0  # dioptres; few adults focus nearer
-_BEHIND_THE_EYE_PER_M = 0.25  # a quarter of a dioptre beyond infinity is within what eyes and designs tolerate
-_ASTIGMATIC = 0.1  # dioptres, or share of the vergence, by which x and y differ before both are stated
+_MANY_LOST = 0.2  # smallest share of all rays that a surface loses for the report to name it
+_FAR_PER_M = 1e-3  # vergence below which an image, farther than a kilometre, is at infinity
+_TOO_NEAR_PER_M = 8.0  # nearest focus of an image, dioptres; few adults focus nearer
+_BEHIND_THE_EYE_PER_M = 0.25  # largest focus beyond infinity, dioptres, that eyes and designs tolerate
+_ASTIGMATIC = 0.1  # difference of x and y, in dioptres or as a share of the vergence, above which both are stated
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class TraceOptions(Options):
 def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Trace a device; writes a drawing of each eye, and the report, into `options.out`.
 
-    A device of which no ray reaches the panel is drawn as well, with the surfaces where its rays are lost.
+    A device is drawn even if no ray reaches its panel, with the surfaces where the rays are lost.
 
     Raises:
         BadInputError: a faulty device, an eye that the device does not have, or a folder that cannot be written.
@@ -57,7 +57,7 @@ def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Repo
     device = load_device(options.device)
     eyes = eyes_of(options.eye)
     for eye in eyes:
-        device.optics(eye)  # before anything is written
+        device.optics(eye)  # fails before anything is written
     folder = output_folder(options.out)
     traced = [_trace_eye(options.device, device, eye, folder) for eye in progress(eyes, len(eyes), "eyes")]
     blocks = [block for each in traced for block in each.blocks]
@@ -149,7 +149,7 @@ def _summary(name: str, eye: str, figures: DeviceFigures, imaging: FirstOrder | 
 
 
 def image_place(imaging: FirstOrder) -> str:
-    """Place of the virtual image at the middle of the field, to follow "virtual image" or "would lie"."""
+    """Return the place of the virtual image mid-field as words to follow "virtual image" or "would lie"."""
     x, y = imaging.vergence_per_m
     middle = 0.5 * (x + y)
     if abs(x - y) <= _ASTIGMATIC * max(1.0, abs(middle)):
@@ -185,8 +185,8 @@ def _appearance(imaging: FirstOrder) -> tuple[str, str, str]:
     """Describe the appearance of the picture from the directions of u and v at the middle of the field.
 
     Returns:
-        Two words, a sentence without a full stop, and the change of the device file if the panel is mounted otherwise
-        (empty for an upright picture).
+        Two words, a sentence without a full stop, and the change of the device file for a panel that is mounted
+        differently (empty for an upright picture).
     """
     (u_right, u_up), (v_right, v_up) = imaging.u_direction, imaging.v_direction
     if abs(u_right) + abs(v_up) >= abs(u_up) + abs(v_right):
@@ -198,7 +198,7 @@ def _appearance(imaging: FirstOrder) -> tuple[str, str, str]:
 
 
 def orientation_warnings(eye: EyeName, imaging: FirstOrder | None) -> list[str]:
-    """Warn of a picture that is not upright, which is right for some devices and a mistake in others."""
+    """Warn of a picture that is not upright: it is right for some devices and a mistake for others."""
     _, sentence, remedy = ("", "", "") if imaging is None else _appearance(imaging)
     mounted = "Rendering allows for it; if the panel is not mounted so"
     return [f"{eye.capitalize()} eye: {sentence}. {mounted}, {remedy}."] if remedy else []
@@ -241,7 +241,7 @@ def _imaging_table(imaging: FirstOrder) -> ReportTable:
 
 
 def loss_warnings(optics: EyeOptics, eye: str, losses: tuple[SurfaceLosses, ...]) -> list[str]:
-    """Name the surface that first loses rays, and single changes of the device that would let them arrive."""
+    """Warn of the surface that first loses rays, and suggest single changes of the device that would let them pass."""
     total, arriving = losses[0].reached, losses[-1].passed
     if arriving >= (MIN_PANEL_SHARE * total if optics.field else 1):
         return []

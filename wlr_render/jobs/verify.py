@@ -1,4 +1,4 @@
-"""Measure the misalignment of a drawn target in photographs of it, display off and on, from the same position."""
+"""Measure the misalignment of a drawn target in photographs with the display off and on, from the same position."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +28,7 @@ NOTES = (
 )
 _OFF = re.compile(r"(?P<name>.+)_off")
 _ON = re.compile(r"(?P<name>.+)_on(_(?P<method>.+))?")
-_CLOSE_UP_PX = 260  # side of the detail
+_CLOSE_UP_PX = 260  # side of the close-up, camera pixels
 _COLUMNS = {
     "dots": "angle.count",
     "median (arcmin)": "angle.median",
@@ -60,7 +60,7 @@ class VerifyOptions(Options):
 
 @dataclass(frozen=True)
 class _DotErrors:
-    """Misalignment of the dots of some pairs, the first of which is `first`, and the median of their sigmas."""
+    """Misalignment of the dots of some pairs, starting with `first`, and the median of their sigmas."""
 
     first: JudgedPair
     angle: Summary
@@ -81,8 +81,8 @@ def verify(options: VerifyOptions, *, progress: ProgressArgument = SILENT) -> Re
     """Measure the distance between drawn and real dots; write pictures and the report into `options.out`.
 
     Raises:
-        BadInputError: the folder has no pair, a photograph with the display on has no partner with it off, or a file is
-            missing.
+        BadInputError: the folder has no pair, a photograph with the display on has no partner with the display off, or
+            a file is missing.
     """
     progress.say("finding dots")
     station = options.calibration / f"station-{options.eye}.json"
@@ -144,7 +144,7 @@ def misalignment_table(
 
 
 def table_of_pairs(judged: Sequence[JudgedPair]) -> ReportTable:
-    """Return figures of each pair of photographs, and why a pair has none."""
+    """Tabulate the figures of each pair of photographs, or the reason why a pair has none."""
     heads = {"photographs": "first.name", "method": "first.method"}
     columns: Columns = {**heads, **_COLUMNS, "error": lambda errors: errors.first.complaint or None}
     return table("By photograph", [_DotErrors.of([pair]) for pair in judged], columns)
@@ -209,7 +209,7 @@ def _draw_misalignment(path: Path, judged: Sequence[JudgedPair]) -> Path:
 
 
 def _draw_close_up(path: Path, judged: Sequence[JudgedPair]) -> Path:
-    """Draw the middle of the first position's photographs: display off, display on, and one over the other."""
+    """Draw the middle of the first position's photographs: display off, display on, and both overlaid."""
     from matplotlib.figure import Figure
 
     first = [one for one in judged if one.name == judged[0].name]

@@ -119,7 +119,7 @@ class PlanOptions(Options):
 
     @property
     def recipe(self) -> SimulationRecipe:
-        """The headset and the bench."""
+        """Recipe of the simulation: the headset and the bench."""
         sizes = replace(
             _USUAL,
             repeatability_um=self.repeatability_um,
