@@ -1,1 +1,1 @@
-"""Reports: blocks of text, tables and figures, written as HTML, Markdown and JSON and shown in the terminal."""
+"""Reports: blocks of text, tables and figures, written as HTML, Markdown and JSON, and shown in the terminal."""

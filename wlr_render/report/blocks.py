@@ -1,4 +1,4 @@
-"""A report and the blocks it is made of: text, tables, pictures and interactive plots."""
+"""A report and its blocks: text, tables, pictures and interactive plots."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,9 +16,9 @@ class Estimate:
     """A value with its standard error; as text "9.1 +- 0.3", or the value alone if the error is unknown.
 
     Attributes:
-        value: NaN if unknown.
+        value: the value; NaN if unknown.
         error: standard error in the same unit; unknown if it is not finite and positive.
-        unit: stands after the text; empty if the head of the column states it.
+        unit: unit after the text; empty if the head of the column states it.
         digits: significant digits of the error in the text.
     """
 
@@ -36,12 +36,12 @@ class Estimate:
 
 
 class Number(float):
-    """A number with the format of its text, e.g. "+.3f"."""
+    """A number with its text format, e.g. "+.3f"."""
 
     spec: str
 
     def __new__(cls, value: float, spec: str = ".3g") -> "Number":
-        """Return the number; `spec` is as in `format`, and has a default because pickle states the value only."""
+        """Return the number; `spec` is as in `format`, with a default because pickle passes only the value."""
         number = super().__new__(cls, value)
         number.spec = spec
         return number
@@ -78,7 +78,7 @@ class ReportTable:
 
     Attributes:
         title: one line.
-        columns: heads, units included, e.g. "median (arcmin)".
+        columns: column heads with units, e.g. "median (arcmin)".
         rows: one cell per column; None for an empty cell.
         notes: sentences under the table.
     """
@@ -89,7 +89,7 @@ class ReportTable:
     notes: Sequence[str] = field(default_factory=tuple)
 
     def text_rows(self) -> list[list[str]]:
-        """Cells as text, numbers with three significant digits."""
+        """Return cells as text, numbers with three significant digits."""
         return [[cell_text(cell) for cell in row] for row in self.rows]
 
     @cached_property
@@ -183,7 +183,7 @@ class Report:
         faults: items that could not be used; the command line exits with status 2 if there are any.
         stem: name of its files without the extension; empty if it is only printed.
         verb: name of the job.
-        options: value of each option that the result depends on, by flag, as `kept.recipe_of` takes them.
+        options: value of each option that affects the result, by flag, as `kept.recipe_of` expects them.
     """
 
     title: str

@@ -17,10 +17,10 @@ from wlr_render.report.blocks import Block, Cell, Columns, Estimate, ReportTable
 
 FORMAT, VERSION = "wlr-report", 1
 """Format of a report's JSON file."""
-_SAME = 1e-6  # relative tolerance: fits that are repeated differ in the last digits
-_ROUNDING = 1e-12  # absolute tolerance over the largest figure of a column
+_SAME = 1e-6  # relative tolerance: repeated fits differ in the last digits
+_ROUNDING = 1e-12  # absolute tolerance relative to the largest figure of a column
 _REWRITE = "run the verb again to write the report"
-_MOST_NAMES = 10  # rows, columns or tables of one report that a sentence names
+_MOST_NAMES = 10  # most rows, columns or tables of one report named in a sentence
 _PARTS = ("value", "error")
 
 Item = TypeVar("Item")
@@ -41,11 +41,11 @@ class RecordedReport:
     """The parts of a report's JSON file that are compared.
 
     Attributes:
-        date: when it was written.
-        version: of wlr_render.
-        sentence: its verdict.
+        date: date of the report.
+        version: version of wlr_render.
+        sentence: verdict of the report.
         recipe: options and inputs of the run.
-        tables: its tables.
+        tables: tables of the report.
     """
 
     date: str
@@ -56,7 +56,7 @@ class RecordedReport:
 
     @classmethod
     def of(cls, table: Table) -> "RecordedReport":
-        """Return the report of a JSON object.
+        """Return the report from a JSON object.
 
         Raises:
             BadInputError: a key is missing or faulty; the sentence names it.
@@ -80,7 +80,7 @@ def read_report(given: Path, verb: str) -> RecordedReport:
         verb: the verb that must have written it.
 
     Raises:
-        BadInputError: the report is missing, another verb's, damaged, or of another version.
+        BadInputError: the report is missing, damaged, of another verb, or of another version.
     """
     remedy = f"name a report of {verb}, or run {verb} again to write it"
     path = _json_file(given, remedy)
@@ -94,7 +94,7 @@ def read_report(given: Path, verb: str) -> RecordedReport:
 
 
 def _json_file(given: Path, remedy: str) -> Path:
-    """Return the JSON file of a report by its folder or any of its files.
+    """Return the JSON file of a report, given its folder or any of its files.
 
     Raises:
         BadInputError: the folder has no report, or several.
@@ -132,7 +132,7 @@ def _cell(row: Table, column: str) -> Cell:
         return value
     if isinstance(value, dict):
         estimate = row.table(column)
-        # An error without its value says nothing; an error of 0 is an unknown one.
+        # An error without a value has no meaning; an error of 0 is unknown.
         number, error = (_number(estimate, key) for key in ("value", "error"))
         return None if number is None else Estimate(number, error or 0.0, _words(estimate, "unit"))
     return _number(row, column)
@@ -157,7 +157,7 @@ class _Figure:
 
     @cached_property
     def both(self) -> tuple[Estimate, Estimate]:
-        """The numbers before and now with their errors, 0 if unknown; NaN for words, empty cells and other units."""
+        """The numbers before and now with their errors (0 if unknown); NaN for words, empty cells, different units."""
         before, now = _estimate(self.before), _estimate(self.now)
         return (before, now) if before.unit == now.unit else (Estimate(math.nan, 0.0), Estimate(math.nan, 0.0))
 
@@ -170,19 +170,19 @@ class _Figure:
 
     @property
     def difference(self) -> float:
-        """The value now less the value before; NaN where they cannot be compared."""
+        """The value now minus the value before; NaN where they cannot be compared."""
         before, now = self.both
         return now.value - before.value
 
     @property
     def ratio(self) -> float | None:
-        """The value now over the value before."""
+        """Ratio of the value now to the value before."""
         before, now = (each.value for each in self.both)
         return now / before if before and math.isfinite(now + before) else None
 
     @property
     def sigmas(self) -> float | None:
-        """The difference over its standard error; None if no error is known."""
+        """The difference in standard errors; None if no error is known."""
         error = math.hypot(*(each.error for each in self.both))
         return self.difference / error if error > 0 else None
 
@@ -195,7 +195,7 @@ def _estimate(cell: Cell) -> Estimate:
 
 @dataclass(frozen=True)
 class _Pair:
-    """A table in both reports; `prefix` is its section, if other tables have its title, and stands before the title."""
+    """A table in both reports; `prefix` before the title is its section, if other tables have the same title."""
 
     before: RecordedTable
     now: RecordedTable
@@ -203,13 +203,13 @@ class _Pair:
 
     @property
     def title(self) -> str:
-        """Title of the table; of both tables if it differs."""
+        """Title of the table; both titles if they differ."""
         one, other = self.now.title, self.before.title
         return f"{self.prefix}{one}" if one == other else f"{self.prefix}{one} (before: {other})"
 
     @cached_property
     def label_width(self) -> int:
-        """Number of leading columns that name a row; all of them after the first have words."""
+        """Number of leading columns that name a row: the first one, and the text columns that follow it."""
         sides, width = (self.before, self.now), 1
         for number, heads in enumerate(zip(*(each.columns for each in sides), strict=False)):
             has_words = any(isinstance(row[number], str) for each in sides for row in each.rows)
@@ -249,7 +249,7 @@ class _Pair:
         return [each for each in self.figures if each.differs]
 
     def only(self, side: RecordedTable) -> list[str]:
-        """Return the names of the rows and columns that one side has and the other lacks."""
+        """Return the names of the rows and columns that only one side has."""
         other = self.now if side is self.before else self.before
         heads = [f"column '{head}'" for head in side.columns if other.columns and head not in other.columns]
         others = self._rows(other)
@@ -280,7 +280,7 @@ def _in_words(label: Iterable[Cell]) -> str:
 
 
 def _keyed(keys: Iterable[Any], items: Iterable[Item]) -> dict[tuple[Any, int], Item]:
-    """Return items by key and number: items of one key are numbered."""
+    """Return items by key and number; items with the same key are numbered."""
     found: dict[tuple[Any, int], Item] = {}
     count: Counter[Any] = Counter()
     for key, item in zip(keys, items, strict=True):
@@ -290,7 +290,7 @@ def _keyed(keys: Iterable[Any], items: Iterable[Item]) -> dict[tuple[Any, int], 
 
 
 def _matched(before: Iterable[RecordedTable], now: Sequence[RecordedTable]) -> tuple[list[_Pair], list[list[str]]]:
-    """Return the tables that both reports have, and the names of the tables of the earlier and the later one alone.
+    """Return the tables of both reports, and the names of tables only in the earlier and only in the later report.
 
     Tables are matched by section and title; then by section and columns, because a title may state an option.
     """

@@ -1,4 +1,4 @@
-"""A report as one HTML page that works from a file, without a network."""
+"""A report as one HTML page that works as a local file, without a network."""
 
 import base64
 import functools
@@ -59,6 +59,6 @@ def _figure_json(plot: Plot) -> str:
 
 @functools.cache
 def _plotly_base64() -> str:
-    """Return plotly.min.js as gzip in base64, which browsers decompress: a page has 2 MB instead of 5 MB."""
+    """Return plotly.min.js as gzip in base64; browsers decompress it, so that a page has 2 MB instead of 5 MB."""
     script = importlib.resources.files("plotly").joinpath("package_data/plotly.min.js").read_bytes()
     return base64.b64encode(gzip.compress(script, mtime=0)).decode("ascii")

@@ -14,20 +14,20 @@ MAX_CELLS = 200
 """Largest number of cells of a heat map, across and down; more cells are too small to see and slow the page."""
 MAX_ARROWS = 200
 """Largest number of arrows in one group of a map; more arrows overlap."""
-_ALL_ARROWS = 5000  # most arrows in all groups together, a limit of browsers; each group has at least 40
+_ALL_ARROWS = 5000  # most arrows in all groups together, for the sake of browsers; each group has at least 40
 _ARROW_SHARE = 0.05
 """Length of the reference arrow, as a share of the map's width."""
 _MARGIN = 0.06  # margin left and right of panels side by side, as a share of the map's width
 
 _ACROSS = 3  # maps in a row
-_DECADES = 3.0  # range of the logarithmic scale that maps share; smaller values have the first colour
+_DECADES = 3.0  # decades of the logarithmic scale that maps share; smaller values have the first colour
 
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
 _DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 
 
 def axis(title: str, log: bool = False) -> dict[str, Any]:
-    """Return the layout of an axis: its title, unit included, and its scale."""
+    """Return the layout of an axis: its title with unit, and its scale."""
     return {"title": {"text": title, "font": {"size": 12}}, **({"type": "log"} if log else {})}
 
 
@@ -84,7 +84,7 @@ def heat_map(
             says so.
         unit: unit of the values.
         limits: values of the first and the last colour; None for the range of the values.
-        cell: side of a pixel of the image, in panel pixels.
+        cell: side of an image pixel, in panel pixels.
         caption: one sentence about the content.
     """
     height, width = values.shape
@@ -147,7 +147,7 @@ def small_heat_maps(
 
 
 def _cells(values: FloatArray, shown: FloatArray, cell: float, unit: str, name: str = "") -> dict[str, Any]:
-    """Return a trace of coloured cells (height, width), whose colours are of `shown`."""
+    """Return a trace of coloured cells (height, width), coloured by `shown`."""
     return {
         "type": "heatmap",
         "x": cell * (np.arange(values.shape[1]) + 0.5),
@@ -265,7 +265,7 @@ def _arrow_layout(axes: tuple[str, str], panels: Sequence[str], y_down: bool) ->
         layout[f"xaxis{number + 1 if number else ''}"] = (
             axis(axes[0]) | {"constrain": "domain"} | across | ({"matches": "x"} if number else {})
         )
-        # The menu of groups is above the panels.
+        # Panel titles are inside the panels: the menu of groups is above them.
         at = {"x": right, "xanchor": "right", "y": 1.0, "yanchor": "top", "xref": "paper", "yref": "paper"}
         layout["annotations"] += [at | {"text": name, "showarrow": False}] if name else []
     return layout

@@ -17,8 +17,8 @@ from wlr_render.report.blocks import Report
 class InputFile:
     """An input of a result: its name and the SHA-256 of its content.
 
-    The hash of a folder covers the sorted list of its files' relative names and hashes, except files of an output
-    folder inside it. An input that can no longer be read has the reason in place of its hash.
+    The hash of a folder covers the sorted list of its files' relative names and hashes, without files of an output
+    folder inside it. For an input that can no longer be read, the reason replaces the hash.
     """
 
     name: str
@@ -46,7 +46,7 @@ def provenance(report: Report, output: Path) -> Provenance:
 
 
 def _command() -> str:
-    """Return the command line, or words for a notebook or a prompt, whose command line does not describe the job."""
+    """Return the command line, or words for a notebook or a prompt, where it does not describe the job."""
     started, arguments = Path(sys.argv[0]), sys.argv[1:]
     if started.stem == "ipykernel_launcher" or started.name in ("", "-c"):
         return "Python, without a command line"

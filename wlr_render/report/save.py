@@ -20,10 +20,10 @@ from wlr_render.report.records import fields_of, json_text, to_jsonable
 def save_report(
     report: Report, folder: Path, stem: str = "", before: tuple[Path, RecordedReport] | None = None
 ) -> Report:
-    """Write FOLDER/STEM.html, .md and .json, by default with the report's own stem, and return it with these files.
+    """Write FOLDER/STEM.html, .md and .json, by default with the report's stem; return the report with these files.
 
     The JSON file has the fields of `report.record` in addition to the fields of every report. With `before`, path and
-    content of an earlier report, all files end with the comparison of both.
+    content of an earlier report, all files end with a comparison of both reports.
 
     Raises:
         BadInputError: a file cannot be written.

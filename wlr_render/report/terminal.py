@@ -48,14 +48,14 @@ def _console(stderr: bool = False, width: int | None = None) -> Console:
 class TerminalProgress(Progress):
     """Progress on standard error, so that standard output stays clean for pipes.
 
-    If standard error is not a terminal, nothing is shown: its reader expects at most one error message.
+    If standard error is not a terminal, nothing is shown, because its reader expects at most one error message.
     """
 
     def __init__(self, status: Status) -> None:
         self._status = status
 
     def __call__(self, items: Iterable[Item], total: int, label: str) -> Iterator[Item]:
-        """Yield the items under a bar with the time left."""
+        """Yield the items under a progress bar with the time left."""
         self._status.stop()
         columns = (
             TextColumn("{task.description}", markup=False),
