@@ -1,7 +1,7 @@
 """Work spread over the workers of a Dask cluster; the only module that imports Dask. Callers use `workers.py`.
 
 Every worker reads and writes the files of a job at the same paths as the program that started it, as on a cluster with
-a shared file system. A task checks this, and the versions of the libraries, before anything of it is unpickled.
+a shared file system. A task checks this, and the versions of the libraries, before its data is unpickled.
 """
 
 import contextlib
@@ -80,7 +80,7 @@ def dask_workers(address: str, folder: Path | None) -> Iterator[Pool]:
             )
     finally:
         with _silent_log():
-            client.close(timeout=_CONNECT_S)  # drops the tasks that wait
+            client.close(timeout=_CONNECT_S)  # drops waiting tasks
 
 
 def _require_scheduler(address: str) -> None:
@@ -157,7 +157,7 @@ def _marked(folder: Path | None) -> Iterator[str]:
 @functools.cache
 def _versions() -> dict[str, str]:
     """Return the versions that must agree on all machines, so that results do not depend on the machine."""
-    from importlib import metadata  # a tenth of the time in which the package is imported
+    from importlib import metadata  # imported here: it takes a tenth of the package's import time
 
     major, minor, _ = platform.python_version_tuple()
     versions = {"Python": f"{major}.{minor}"}
@@ -169,7 +169,7 @@ def _versions() -> dict[str, str]:
 
 @contextlib.contextmanager
 def _sentences(address: str) -> Iterator[None]:
-    """Convert the errors of a cluster in a `with` block to sentences."""
+    """Convert the errors of a cluster in a `with` block to a `BadInputError` with one sentence."""
     from distributed import KilledWorker
 
     try:
@@ -200,7 +200,7 @@ def _not_loaded(who: str, error: Exception) -> BadInputError:
 
 
 def _run_here(payload: bytes, conditions: dict[str, Any]) -> Any:
-    """Run one task in a worker, in the folder that the caller runs in."""
+    """Run one task in a worker, in the working directory of the caller."""
     _check_worker(conditions)
     atomic_files.is_cluster_worker = True
     os.environ.setdefault(OPENGL_THREADS, "1")
@@ -226,8 +226,8 @@ def _loaded(payload: bytes) -> Any:
 def _keep_memory_for_arrays() -> None:
     """Let this process keep the memory of freed arrays for the next ones, as glibc does by default.
 
-    Dask starts workers with MALLOC_TRIM_THRESHOLD_, which switches that off: the system then takes back and clears the
-    memory of each array, in two fifths of the time of a fit.
+    Dask starts workers with MALLOC_TRIM_THRESHOLD_, which disables that: the system then takes back and clears the
+    memory of each array, which takes two fifths of the time of a fit.
     """
     if platform.libc_ver()[0] == "glibc":
         libc = ctypes.CDLL(None)

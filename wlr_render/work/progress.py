@@ -1,4 +1,4 @@
-"""Progress of a long job, shown by whoever runs it."""
+"""Progress of a long job, shown by the caller."""
 
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
@@ -7,7 +7,7 @@ Item = TypeVar("Item")
 
 
 class Progress:
-    """Receives the progress of a job and shows nothing: the default of library calls."""
+    """Receiver of a job's progress that shows nothing: the default of library calls."""
 
     def __call__(self, items: Iterable[Item], total: int, label: str) -> Iterator[Item]:
         """Yield the items unchanged."""

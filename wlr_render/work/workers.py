@@ -62,18 +62,18 @@ def as_finished(
     This returns only once the scheduler has answered; tasks begin when the first result is requested. Every process
     computes with one thread, so that the order of sums does not depend on the number of workers. Workers exit with this
     process, or when the caller stops iterating or is interrupted; running tasks are abandoned. The workers of a cluster
-    finish theirs, and the tasks of a lost worker are given to another one.
+    finish their running tasks, and the tasks of a lost worker are given to another one.
 
     Args:
-        run: function of a task; it and its results must be picklable.
+        run: function of a task; the function and its results must be picklable.
         tasks: arguments, in the order in which they are started.
         workers: processes or machines that run them.
-        folder: folder that they write into; the machines of a cluster have to share it.
+        folder: folder into which the workers write; the machines of a cluster must share it.
 
     Raises:
         BadInputError: a worker was killed, e.g. because the memory was full; no scheduler answers, it has no workers, a
             worker has other versions or does not see the folder, or a task ended several workers.
-        MissingExtraError: there is a scheduler, and Dask is not installed.
+        MissingExtraError: a scheduler is given, and Dask is not installed.
     """
     if not tasks:
         return iter(())
@@ -85,7 +85,7 @@ def as_finished(
 def _results(
     run: Callable[[Task], Result], tasks: Sequence[Task], workers: WorkerPool, folder: Path | None
 ) -> Iterator[Any]:
-    """Yield None once the scheduler answers, before a task begins, then each result."""
+    """Yield None once the scheduler answers, before any task begins, then each result."""
     address = workers.scheduler or ""
     pool = cluster.dask_workers(address, folder) if address else _own_processes(workers.processes)
     with pool as (submit, has_workers):
@@ -101,7 +101,7 @@ def _as_completed(
     """Yield the futures in the order of completion.
 
     Raises:
-        BadInputError: there has been no worker for long.
+        BadInputError: there has been no worker for a long time.
     """
     finished: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
     for future in futures:
@@ -128,7 +128,7 @@ def _next_of(finished: queue.SimpleQueue[Future[Any]]) -> Future[Any] | None:
 
 @contextlib.contextmanager
 def _own_processes(count: int | None) -> Iterator[cluster.Pool]:
-    """Start processes of this machine for a `with` block, which abandons their tasks if it ends early."""
+    """Start processes of this machine for a `with` block; their tasks are abandoned if it ends early."""
     context = multiprocessing.get_context("spawn")
     # Only this process has the write end: the workers read end-of-file when this process or the system closes it.
     watched, alive = context.Pipe(duplex=False)
@@ -181,15 +181,15 @@ def _run_or_end(run: Callable[[Task], Result], task: Task) -> Result:
     try:
         return run(task)
     except SystemExit:
-        os._exit(1)  # the pool would go on with the next task
+        os._exit(1)  # otherwise the pool would start the next task
 
 
 @contextlib.contextmanager
 def _inherited_by_workers() -> Iterator[None]:
     """Set, in a `with` block, the environment and signals that new processes inherit.
 
-    Each gets one thread: linear algebra libraries read these variables once, when a process loads them. Ctrl-C is
-    ignored, because it would print a traceback of a process that is starting.
+    Each process gets one thread: linear algebra libraries read these variables once, when a process loads them. Ctrl-C
+    is ignored, because it would print a traceback of a starting process.
     """
     variables = (*cluster.LIBRARY_THREADS, cluster.OPENGL_THREADS)
     before = {name: os.environ.get(name) for name in variables}
