@@ -1,7 +1,7 @@
 """Pictures in other software's textures and framebuffers, as textures that a shader reads.
 
-Plain textures and layers of arrays are read where they are. Renderbuffers, mip levels, cube faces and images of several
-samples are copied to a texture of ours first, which resolves samples.
+Plain textures and layers of arrays are read where they are. Renderbuffers, mip levels, cube faces and multisampled
+images are first copied to a texture of ours, which resolves samples.
 """
 
 import ctypes
@@ -34,7 +34,7 @@ from wlr_render.warp.stored_picture import StoredDepth, check_depth_format
 
 _UINT, _INT = ctypes.c_uint, ctypes.c_int
 _DEPTH_COMPONENT, _UNSIGNED_INT, _TEXTURE0 = 0x1902, 0x1405, 0x84C0
-# Internal formats by (is float, bits of depth, whether there is a stencil).
+# Internal formats by (is float, bits of depth, has stencil).
 _DEPTH_FORMATS = {
     (False, 16, False): 0x81A5,
     (False, 24, False): 0x81A6,
@@ -60,7 +60,7 @@ class TheirTexture:
     functions: tuple[Callable[..., Any], Callable[..., Any]]
 
     def use(self, unit: int) -> None:
-        """Bind it to a texture unit."""
+        """Bind the texture to a texture unit."""
         activate, bind = self.functions
         activate(_TEXTURE0 + unit)
         bind(self.target, self.glo)
@@ -71,13 +71,13 @@ class Source:
     """An image as a shader reads it.
 
     Attributes:
-        texture: where it lies; its sampler may be set in any way.
+        texture: texture with the image; its sampler may have any state.
         size_px: (width, height) of the picture.
-        first_px: column and row of the texture in which the picture starts.
-        layer: of an array texture, None of a plain one.
+        first_px: column and row of the texture at which the picture starts.
+        layer: layer of an array texture; None for a plain texture.
         is_8_bit: whether the components are fractions of 8 bits.
         is_srgb: whether OpenGL decodes the codes of its format.
-        is_callers: whether the caller's own texture is read.
+        is_callers: whether the texture is the caller's own.
     """
 
     texture: gl.Texture | TheirTexture
@@ -91,7 +91,7 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class _Blit:
-    """A copy of one image: from a framebuffer of ours that has it, to one with our texture."""
+    """A copy of one image, from a framebuffer of ours that holds it to one with our texture."""
 
     source: gl.Framebuffer
     target: gl.Framebuffer
@@ -102,7 +102,7 @@ class _Blit:
 
 @dataclass(eq=False)
 class _Prepared:
-    """The images of a picture, colour first, and what has to be copied in each frame."""
+    """The images of a picture, colour first, and the copies that each frame needs."""
 
     sources: list[Source] = field(default_factory=list)
     blits: list[_Blit] = field(default_factory=list)
@@ -110,7 +110,7 @@ class _Prepared:
 
 
 _NO_FORMAT = ImageFormat(0, 0, 0, 0, 0, False)
-_Part = tuple[Image, tuple[int, int], tuple[int, int]]  # an image, size and first pixel of the picture in it
+_Part = tuple[Image, tuple[int, int], tuple[int, int]]  # image, and size and first pixel of the picture in it
 
 
 class GivenPictures:
@@ -124,11 +124,11 @@ class GivenPictures:
         self._ask = FramebufferQueries(context)
         self._prepared: ImageCache[_Prepared] = ImageCache(self._ask)
         self._targets: dict[int, tuple[tuple[object, ...], gl.Framebuffer, gl.Texture]] = {}
-        self._new = ""  # the picture that was never copied before
+        self._new = ""  # name of a picture that was never copied before
         self._binding = self._ask.gl("glActiveTexture", _UINT), self._ask.gl("glBindTexture", _UINT, _UINT)
 
     def of_framebuffer(self, framebuffer: Any, size: tuple[int, int], stored: StoredDepth) -> list[Source]:
-        """Colour and depth of a framebuffer object (or its number) of (width, height), rows as they lie.
+        """Return colour and depth of a framebuffer object (or its number) of (width, height), rows as stored.
 
         Raises:
             BadInputError: the framebuffer object does not exist, has another size, lacks colour or depth, or has them
@@ -143,9 +143,9 @@ class GivenPictures:
         return self._sources(self._prepared.get([framebuffer], size, prepare), stored)
 
     def of_textures(self, given: Sequence[Any], size: tuple[int, int] | None, stored: StoredDepth) -> list[Source]:
-        """Colour, and depth if there is one, of textures or layers of (width, height), rows as they lie.
+        """Return the colour, and depth if there is one, of textures or layers of (width, height), rows as stored.
 
-        If the size is None, any size will do.
+        If the size is None, any size is accepted.
 
         Raises:
             BadInputError: a texture, layer or level does not exist, or has another size or a format that cannot be
@@ -186,7 +186,7 @@ class GivenPictures:
         return made
 
     def _add(self, made: _Prepared, point: int, part: _Part, what: str, spare: list[gl.Framebuffer]) -> None:
-        """Add an image to a picture, and its copy where shaders cannot read it."""
+        """Add an image to a picture, and a copy if shaders cannot read the image."""
         image, size, first_px = part
         target, found = self._ask.sampled(image) or (0, None)
         if found is not None and not found.stencil_bits:
@@ -204,9 +204,9 @@ class GivenPictures:
         made.sources.append(source)
 
     def _attached(self, framebuffer: gl.Framebuffer, point: int, image: Image, what: str) -> tuple[ImageFormat, int]:
-        """Attach an image to a framebuffer of ours; return its format, and the buffer that a copy takes."""
+        """Attach an image to a framebuffer of ours; return its format, and the buffer for a copy."""
         self._ask.bind(framebuffer.glo)
-        for at in dict.fromkeys((point, COLOUR)):  # a depth may be a colour's first component
+        for at in dict.fromkeys((point, COLOUR)):  # a depth may be the first component of a colour
             if self._ask.attach(at, image):
                 found = self._ask.format(at)
                 return found, _buffers(point, found, what)
@@ -215,9 +215,9 @@ class GivenPictures:
     def _copy_of(
         self, point: int, found: ImageFormat, buffers: int, size: tuple[int, int]
     ) -> tuple[gl.Framebuffer, gl.Texture]:
-        """Return a framebuffer of ours, and its texture of a format to which an image can be copied."""
+        """Return a framebuffer of ours and its texture, in a format to which an image can be copied."""
         if point == COLOUR:
-            # A resolve or copy keeps the codes of an sRGB format only in one.
+            # A resolve or copy keeps the codes of an sRGB format only if the target is sRGB too.
             dtype = "f2" if found.numbers == FLOATS or found.red_bits > 8 else "srgb" if found.is_srgb else "f1"
             return self._target(COLOUR, (size, dtype), lambda: self._context.target(size, 4, dtype))
         if buffers == BLIT_COLOUR:
@@ -264,7 +264,7 @@ def _buffers(point: int, found: ImageFormat, what: str) -> int:
     """Return the buffer in which an image holds colour, or depth.
 
     Raises:
-        BadInputError: it holds none.
+        BadInputError: it holds no such buffer.
     """
     is_whole = found.numbers in WHOLE_NUMBERS
     if point == COLOUR:

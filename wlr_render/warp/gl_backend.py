@@ -31,10 +31,10 @@ from wlr_render.warp.target_framebuffers import TargetFramebuffers
 from wlr_render.warp.view import View, image_from_ray_map
 
 HostState = Literal["kept", "clean"]
-"""How an adopted context is used, see `Compositor`."""
+"""Use of an adopted context, see `Compositor`."""
 
 HiddenAreas = Literal["repeated", "last picture"]
-"""What fills areas that edges hide from the newest picture, see `Compositor`."""
+"""Content of areas that edges hide from the newest picture, see `Compositor`."""
 
 CONTEXTS = ("auto", "egl", "osmesa", "current")
 
@@ -61,11 +61,11 @@ class GlEye:
         self._warp = GlWarp(context, len(channels), self._encoder)
         self._warp_of_sources = GlWarp(context, len(channels), self._encoder)  # draws pull maps of red and blue
         self._readbacks = ReadbackRing(context)
-        # Two sets of textures take pictures in turn where the last one is kept.
+        # Two sets of textures take pictures in turn if the last picture is kept.
         self._imports = [PictureImport(context) for _ in range(1 + keeps_last_picture)]
         self._keeps_last_picture = keeps_last_picture
-        self._pictures: list[WarpedPicture] = []  # the widest first
-        self._view: View | None = None  # of the newest picture
+        self._pictures: list[WarpedPicture] = []  # widest first
+        self._view: View | None = None  # view of the newest picture
         self._last: tuple[WarpedPicture, View] | None = None  # the picture before it, if it is kept
         self._import_insets: list[PictureImport] = []
         self._import_overlays: dict[int, OverlayImport] = {}
@@ -88,12 +88,12 @@ class GlEye:
         self._pictures = [WarpedPicture(image, self._plan.samples_per_axis)]
 
     def is_drawn_whole(self, view: View) -> bool:
-        """Return whether a view is of the eye's whole picture; others are of insets."""
+        """Return whether a view shows the eye's whole picture, not an inset."""
         return view.camera is self._plan.camera
 
     @property
     def sharpest(self) -> Pinhole:
-        """Camera of the picture that was submitted last, around the next inset."""
+        """Camera of the picture that was submitted last, which contains the next inset."""
         return self._pictures[-1].image.camera
 
     def add_inset(
@@ -119,7 +119,7 @@ class GlEye:
         """Check the picture that the eye shows.
 
         Raises:
-            BadInputError: its renderer has drawn another one over it.
+            BadInputError: its renderer has overwritten it.
         """
         if self._pictures and self._pictures[0].image.is_overwritten():
             raise BadInputError(
@@ -139,7 +139,7 @@ class GlEye:
         self._overlays[layer] = self._import_overlays[layer].take(picture, quad, stored_colour, rows)
 
     def seen_overlays(self, view: View, world_from_device: FloatArray) -> list[SeenOverlay]:
-        """Return the overlays that a view sees, with the head at a pose (4, 4), in the order of drawing."""
+        """Return the overlays that a view sees, for a head pose (4, 4), in drawing order."""
         seen = []
         for _, overlay in sorted(self._overlays.items()):
             place_of_ray = overlay.quad.place_of_ray(view, world_from_device)
@@ -157,7 +157,7 @@ class GlEye:
     ) -> GlComposed:
         """Return the picture for a viewpoint (3,) and a head pose (4, 4), into a target of `targets`.
 
-        The poses by row are one (4, 4), or (grid rows, 4, 4).
+        The poses by row are (4, 4) for all rows, or (grid rows, 4, 4).
         """
         assert self._view is not None, "the compositor checks that the eye is submitted"
         self.generation += 1
@@ -175,7 +175,7 @@ class GlEye:
         return self._composed(self._pictures, viewpoint, moved, target, with_source, overlays, backdrop)
 
     def prepare(self, framebuffer: gl.Framebuffer, overlays: int, insets: bool) -> None:
-        """Draw once in every way, which compiles the shaders; see `Compositor.prepare`."""
+        """Draw once in every mode, which compiles the shaders; see `Compositor.prepare`."""
         plan = self._plan
         size = plan.camera.width_px, plan.camera.height_px
         image = GpuImage(
@@ -222,7 +222,7 @@ class GlEye:
                     f"the {self._plan.eye} eye's picture, from which the pull maps of red and blue are drawn, was "
                     "replaced after this frame was composed; read them before the next submit."
                 )
-            # The program of three channels, which is there already, gives the pull map of the middle one.
+            # The three-channel program already exists, and writes the pull map of the middle channel.
             of_channel = widest.image, [ray_maps[channel]] * len(ray_maps), image_from_ray_map
             return self._warp_of_sources.draw(*of_channel, size_px, *settings, True, (), insets, backdrop)
 
@@ -264,7 +264,7 @@ class GlBackend:
             raise
 
     def working(self) -> AbstractContextManager[object]:
-        """Return a block of calls."""
+        """Return a block in which the backend may be called."""
         return self.context.working()
 
     @contextlib.contextmanager
@@ -282,11 +282,11 @@ class GlBackend:
             yield
 
     def show(self, targets: Mapping[str, WarpTarget]) -> None:
-        """Copy the picture for a window to it, if there is one among the targets."""
+        """Copy the picture for a window to the window, if it is one of the targets."""
         self._framebuffers.show(targets.values())
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
-        """Return the target of each eye's picture; empty for the compositor's textures. See `Compositor.compose`."""
+        """Return the target of each eye's picture; empty for the compositor's textures; see `Compositor.compose`."""
         return {} if into is None else self._framebuffers.targets(into, eyes, size_px)
 
     def prepare(self, overlays: int, insets: bool) -> None:
@@ -301,7 +301,7 @@ class GlBackend:
             ctx.finish()
 
     def release(self) -> bool:
-        """Free everything, and return whether that was possible; an adopted or shared context stays open."""
+        """Free all objects, and return whether that was possible; an adopted or shared context stays open."""
         return self.is_shared or self.context.release()
 
 
@@ -342,7 +342,7 @@ def _context(context: Any, host_is_clean: bool) -> gl.GlContext:
 
 
 def _solve_of(context: gl.GlContext, mappings: Eye, offset_px: FloatArray, plan: EyePlan) -> RayMapSolver[GpuRayMap]:
-    """Return the solver for a primary whose sub-pixels are offset (2,) display pixels from the centres of pixels."""
+    """Return the solver for a primary with sub-pixels offset (2,) display pixels from the pixel centres."""
     warp_grid, axes = plan.warp_grid.grid, plan.device_from_camera
     warp_grid = replace(warp_grid, first_px=warp_grid.first_px + offset_px * warp_grid.panel.size_px / plan.size_px)
     if is_planar(mappings):

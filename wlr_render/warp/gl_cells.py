@@ -1,4 +1,4 @@
-"""Cells of a warp grid: where the rays of their corners appear in an image, and bounds of the depths that they meet."""
+"""Cells of a warp grid: image positions of the rays at their corners, and bounds of the depths that the rays meet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from wlr_render.warp.raster_camera import MAX_SAMPLES
 from wlr_render.warp.warp import DIRECT_PX, SPACING_PX, SURFACE_STEP, TILE, WarpStatus
 
 MAX_OVERLAYS = 4
-"""Overlays of an eye that are shown at once."""
+"""Largest number of overlays that an eye shows at once."""
 
 
 WARP_CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
@@ -34,9 +34,9 @@ class WarpCells:
     """Outputs of `cells.frag` for a picture, and the bounds of the picture's depths.
 
     Attributes:
-        paths: at each point of the grid, the place in the picture at infinity, and its shift per inverse depth.
-        bends: second differences of the places, along the rows and along the columns.
-        mixed_bends_and_ranges: mixed differences, and the bounds of the inverse depth with `cell_notes.glsl`.
+        paths: at each point of the grid, the picture position at infinity, and its shift per inverse depth.
+        bends: second differences of the positions, along the rows and along the columns.
+        mixed_bends_and_ranges: mixed differences, and bounds of the inverse depth with the notes of `cell_notes.glsl`.
         ranges: bounds of the picture's inverse depths.
     """
 
@@ -63,7 +63,7 @@ class GlCells:
         is_inset: bool,
         inset: WarpCells | None,
     ) -> WarpCells:
-        """Find the cells of a picture, which may be an inset, and may have one."""
+        """Compute the cells of a picture, which may be an inset, and may contain an inset."""
         ranges = self._ranges.of(image)
         warp_grid = ray_maps[0].warp_grid
         matrices = image.camera.image_from_camera @ image_from_ray_map
@@ -71,7 +71,7 @@ class GlCells:
         cells = self._targets.get("cells", (warp_grid.columns, warp_grid.rows * self._channels), *[(4, "f4")] * 3)
         program = self._filling.program
         rays = [each.slope_offset for each in ray_maps]
-        # The tiles stay on their unit for the warp. Unused samplers share a texture: they must not read a target.
+        # The tiles stay on their unit for the warp. Unused samplers share a texture, because none may read a target.
         unused = dict.fromkeys(("row_matrices", "inset_ranges"), rays[0])
         textures: dict[str, Any] = {"ranges": ranges.pyramid, "tiles": ranges.tiles, "slope_offset": rays, **unused}
         if by_rows:

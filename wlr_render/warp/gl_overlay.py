@@ -16,7 +16,7 @@ from wlr_render.warp.stored_picture import Rows, StoredColour
 from wlr_render.warp.view import View
 
 _NEAREST_M = 1e-3
-"""An overlay is not shown from nearer to its plane, nor from behind."""
+"""Smallest distance from its plane at which an overlay is shown; it is never shown from behind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +24,8 @@ class Quad:
     """A rectangle in the plane z = 0 of the quad frame, x right and y up, visible from +z.
 
     Attributes:
-        pose: (4, 4), world_from_quad, or device_from_quad of one that moves with the head.
-        size_m: (2,) width and height, with the frame's origin in the middle.
+        pose: (4, 4) world_from_quad, or device_from_quad for a quad that moves with the head.
+        size_m: (2,) width and height; the frame's origin is in the middle.
         is_head_locked: whether `pose` is device_from_quad.
     """
 
@@ -34,10 +34,10 @@ class Quad:
     is_head_locked: bool
 
     def place_of_ray(self, view: View, world_from_device: FloatArray) -> FloatArray | None:
-        """Homogeneous place on the quad that a view sees in a direction: (3, 3), None if it is seen from behind.
+        """Return the map (3, 3) from directions to homogeneous positions on the quad; None if it is seen from behind.
 
-        Rows times a direction in the camera frame with z = -1 are x w, y w and w, with the place (x, y) from (0, 0) in
-        the upper left to (1, 1), and the inverse depth w of the quad's plane in that direction.
+        Its rows times a direction in the view's camera frame with z = -1 are x w, y w and w, with the position (x, y)
+        from (0, 0) in the upper left to (1, 1), and the inverse depth w of the quad's plane in that direction.
         """
         world_from_quad = world_from_device @ self.pose if self.is_head_locked else self.pose
         quad_from_camera = transforms.inverse(world_from_quad) @ view.world_from_camera
@@ -62,14 +62,14 @@ class Overlay:
 
 @dataclass(frozen=True, eq=False)
 class SeenOverlay:
-    """An overlay with `Quad.place_of_ray`, (3, 3)."""
+    """An overlay with its `Quad.place_of_ray` (3, 3)."""
 
     texture: gl.Texture
     place_of_ray: FloatArray
 
 
 class OverlayImport:
-    """Copies the pictures of overlays; each overwrites the last."""
+    """Copies the pictures of overlays; each copy overwrites the last."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context, self._import, self._levels = context, PictureImport(context), MipLevels(context)

@@ -11,7 +11,7 @@ from wlr_render.warp.panel_light import PanelLight
 
 _ENCODINGS = {"SRGB": 0, "LINEAR": 1, "TABLE": 2}
 TEXTURE_KINDS = {8: "f1", 10: "rgb10", 16: "f2"}
-"""Formats of textures that hold codes, as in `GlContext.target`, by their bits."""
+"""Formats of textures that hold codes, by their bits; see `GlContext.target`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class PanelEncoder:
     Attributes:
         constants: preprocessor constants of the shaders.
         textures: textures by sampler name.
-        texture_kind: format of the textures that we draw to, as in `GlContext.target`.
+        texture_kind: format of the textures that we draw to, see `GlContext.target`.
     """
 
     constants: dict[str, int]

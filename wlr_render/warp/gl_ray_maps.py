@@ -1,13 +1,13 @@
-"""Ray maps on the GPU: planar models solved in a shader, any others spread from Chebyshev nodes solved on the CPU.
+"""Ray maps on the GPU: planar models are solved in a shader, other models interpolated from nodes solved on the CPU.
 
-Each point of the warp grid finds the tangents t under which the viewpoint sees it from
-p~ = viewpoint_xy + s t(pixel, p~), by Newton's method in float32. On a plane of slope m the depth s is
+For each point of the warp grid, the shader solves p~ = viewpoint_xy + s t(pixel, p~) for the tangents t at which the
+viewpoint sees it, by Newton's method in float32. On a plane of slope m the depth s is
 h / (1 + m . t), with h the viewpoint's height over the plane along z. A solve starts from the viewpoint, not from the
-last frame: a warp grid has so few points that the two or three iterations do not show in a frame's time.
+last frame: a warp grid has so few points that the two or three iterations do not affect a frame's time.
 
 A pixel has one ray through each point of a base plane. At a pixel, therefore, the tangents t are a polynomial of p~
-alone, and the deviation (A, B) is a smooth function of the place on its own plane. Each point of the warp grid has the
-coefficients of both in a texture, computed once in float64: one program serves all eyes and calibrations.
+alone, and the deviation (A, B) is a smooth function of the place on its own plane. A texture holds the coefficients of
+both for each point of the warp grid, computed once in float64: one program serves all eyes and calibrations.
 """
 
 import itertools
@@ -29,8 +29,8 @@ class RayTexture:
     """World rays at the points of a warp grid.
 
     Attributes:
-        warp_grid: the points, from edge to edge of the panel.
-        slope_offset: RGBA32F of the warp grid's size, (a, b, c, d) as `RayMap.slope_offset`, NaN without a ray.
+        warp_grid: the warp grid, from edge to edge of the panel.
+        slope_offset: RGBA32F of the warp grid's size, (a, b, c, d) as in `RayMap.slope_offset`, NaN without a ray.
     """
 
     warp_grid: WarpGrid
@@ -39,10 +39,10 @@ class RayTexture:
 
 @dataclass(frozen=True, eq=False)
 class GpuRayMap(RayTexture):
-    """The ray map of one viewpoint, whose textures the solver's next solves overwrite.
+    """The ray map of one viewpoint, in textures that the solver's next solve overwrites.
 
     Attributes:
-        context: of the textures.
+        context: context of the textures.
         viewpoint_in_device: (3,) metres.
         device_from_camera: (3, 3) axes of `slope_offset`.
         status: `mappings.Status` of each point: (rows, columns) uint8, or R8UI from a shader.
@@ -58,12 +58,12 @@ class GpuRayMap(RayTexture):
         return RayMap(self.viewpoint_in_device, self.device_from_camera, self.read_slope_offset(), self.read_status())
 
     def read_slope_offset(self) -> Float32Array:
-        """Fetch (4, rows, columns)."""
+        """Fetch `slope_offset` as (4, rows, columns)."""
         with self.context.drawing():
             return np.ascontiguousarray(np.moveaxis(gl.read(self.slope_offset, np.float32), -1, 0))
 
     def read_status(self) -> StatusArray:
-        """Fetch (rows, columns), one `mappings.Status` each."""
+        """Fetch the status (rows, columns), one `mappings.Status` each."""
         if isinstance(self.status, np.ndarray):
             return self.status
         with self.context.drawing():
@@ -71,16 +71,17 @@ class GpuRayMap(RayTexture):
 
 
 MAX_ITERATIONS = 12
-"""A regular solve takes two or three."""
+"""Largest number of iterations; a regular solve takes two or three."""
 LAST_STEP_M = 3e-6
-"""A Newton step in the base plane that ends the solve: t follows its slope over it to 1e-4 arcmin, for slopes that
-change by less than 6 rad/m in a millimetre; and a thousand times what float32 leaves of a step."""
+"""Newton step in the base plane that ends the solve: over it t is linear to 1e-4 arcmin, for slopes that change by less
+than 6 rad/m in a millimetre; and it is a thousand times the float32 rounding of a step."""
 
 DEGREE = 5
-"""Lowest total degree of a point's polynomials: display models have this degree in the place. Interpolated deviations
-of the shipped devices' models then err by 0.0015 arcmin; degree 6 takes a third more texels and errs by 0.0002."""
+"""Lowest total degree of a point's polynomials: display models have this degree in the base-plane position.
+Interpolated deviations of the shipped devices' models then err by 0.0015 arcmin; degree 6 errs by 0.0002, with a third
+more texels."""
 
-_STEPS = 6  # between two base planes a few millimetres from each other: each step leaves a tenth of the error or less
+_STEPS = 6  # fixed-point steps between base planes a few mm from each other: each leaves a tenth of the error or less
 
 
 class GlPlanarSolver:
@@ -93,7 +94,7 @@ class GlPlanarSolver:
         warp_grid: WarpGrid,
         device_from_camera: FloatArray,
     ) -> None:
-        """Prepare for the points of a warp grid on the mappings' panel, and for tangents in these axes (3, 3).
+        """Prepare for the points of a warp grid on the mappings' panel, and for tangents in the given axes (3, 3).
 
         Raises:
             BadInputError: the mappings are not planar models.
@@ -102,7 +103,7 @@ class GlPlanarSolver:
         self._context, self._warp_grid, self._device_from_camera = context, warp_grid, device_from_camera
         orders = self._display.modelled.orders[:, 2:], self._see_through.modelled.orders[:, :2]
         of_display, of_see_through = (int(each.sum(axis=1).max(initial=0)) for each in orders)
-        # One more for the deviation: it also depends on the tangents, which differ from place to place.
+        # One degree more for the deviation: it also depends on the tangents, which vary with the position.
         self._degree = max(DEGREE, of_display, of_see_through + 1)
         terms = self._terms()
         constants: dict[str, float] = {status.name: int(status) for status in Status}
@@ -116,7 +117,7 @@ class GlPlanarSolver:
         self._inputs_of_eye = self._fixed_inputs()
 
     def _terms(self) -> Float32Array:
-        """Return coefficients of t, A and B at each point: (rows, 3, columns, texels of two terms each, 4)."""
+        """Return the coefficients of t, A and B at each point: (rows, 3, columns, texels of two terms each, 4)."""
         display, see_through = self._display, self._see_through
         box, pixel = display.modelled.box.select((2, 3)), self._warp_grid.panel_pixel()
         held = display.modelled.held((0, 1), pixel.reshape(-1, 2))
@@ -125,7 +126,7 @@ class GlPlanarSolver:
         tangents = solve @ np.stack(shown, axis=-2)
 
         def deviation(node: FloatArray) -> FloatArray:
-            # Tangents of the rays through the node: the terms go on smoothly beyond the display's box.
+            # Tangents of the rays through the node: the terms continue smoothly beyond the display's box.
             place, point = node, see_through.place.lift(node)
             for _ in range(1 if display.place == see_through.place else _STEPS):
                 seen = np.einsum("...n,...no->...o", _products(box.scaled(place), self._degree), tangents)
@@ -135,7 +136,7 @@ class GlPlanarSolver:
         nodes, solve = _interpolation(see_through.modelled.box.select((0, 1)), self._degree)
         deviations = solve @ np.stack([deviation(node) for node in nodes], axis=-2)
         terms = np.concatenate([tangents, deviations], axis=-1, dtype=np.float32)
-        # Two terms share a texel, and t, A and B of a row of points have a row of texels each.
+        # Two terms share a texel; t, A and B of a row of points fill one row of texels each.
         paired = np.moveaxis(terms.reshape(*pixel.shape[:2], -1, 2, 3, 2), 4, 1)
         return np.ascontiguousarray(paired).reshape(*paired.shape[:4], 4)
 
@@ -151,7 +152,7 @@ class GlPlanarSolver:
         return GpuRayMap(self._warp_grid, slope_offset, self._context, viewpoint, self._device_from_camera, status)
 
     def _fixed_inputs(self) -> FloatArray:
-        """Return the rows (11, 4) of the shader's `inputs_of_eye`, without the viewpoint's: 6 and 7."""
+        """Return the rows (11, 4) of the shader's `inputs_of_eye`; rows 6 and 7, the viewpoint's, are left at 0."""
         display, see_through, grid = self._display, self._see_through, self._warp_grid
         boxes = [model.modelled.box for model in (display, see_through)]
         rows = np.zeros((11, 4))
@@ -169,9 +170,9 @@ class GlPlanarSolver:
 
 
 def _interpolation(box: Box, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return Padua points (n, 2) of a box, and the matrix (terms, n) from values there to factors of `_products`.
+    """Return Padua points (n, 2) of a box, and the matrix (terms, n) from values there to coefficients of `_products`.
 
-    Padua points are Chebyshev points of a total degree: interpolation errs hardly more than the best polynomial.
+    Padua points are Chebyshev points for a total degree: interpolation is hardly worse than the best polynomial.
     """
     along = itertools.product(range(degree + 1), range(degree + 2))
     scaled = np.cos(np.pi * np.array([(i / degree, j / (degree + 1)) for i, j in along if (i + j) % 2 == 0]))
@@ -188,15 +189,15 @@ def _products(scaled: FloatArray, degree: int) -> FloatArray:
 
 
 def _powers(degree: int) -> list[tuple[int, int]]:
-    """Return i and j of the terms in the order of solve.frag, which reads two at once; some exceed the degree."""
+    """Return i and j of the terms in the order of solve.frag, which reads two terms at once; some exceed the degree."""
     return [(i, j) for i in reversed(range(degree + 1)) for j in reversed(range((degree - i | 1) + 1))]
 
 
 class GlNodeSolver:
-    """`RayMapSolver` for any mappings from Chebyshev nodes; the plan states warp grid and axes."""
+    """`RayMapSolver` for any mappings from Chebyshev nodes; the plan defines warp grid and axes."""
 
     def __init__(self, context: gl.GlContext, mappings: Eye, plan: RayMapPlan) -> None:
-        """Prepare, and query every point once to know where the device shows nothing."""
+        """Prepare, and query every point once to find where the device shows nothing."""
         self._context, self._plan = context, plan
         self._ray_maps = FilledRayMaps(mappings, plan)
         with context.drawing():

@@ -24,7 +24,7 @@ from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.warp import WarpedImage
 
 _Run = tuple[gl.Program | gl.ComputeShader, Callable[[], object]]
-"""A program, and what runs it when its textures and uniforms are set."""
+"""A program, and the function that runs it when its textures and uniforms are set."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +33,8 @@ class WarpedPicture:
 
     Attributes:
         image: colour and depth.
-        samples_per_axis: most samples per display pixel along each axis, see `raster_camera.samples_for`. Each cell of
-            the warp grid has as many as it needs.
+        samples_per_axis: largest number of samples per display pixel along each axis, see `raster_camera.samples_for`.
+            Each cell of the warp grid uses as many as it needs.
     """
 
     image: GpuImage
@@ -46,9 +46,9 @@ class Backdrop:
     """An older picture, shown where the newest one is DISOCCLUDED.
 
     Attributes:
-        picture: of another view.
-        image_from_ray_map: as in `GlWarp.draw`, to this picture's camera frame.
-        overlays: seen by its camera, those of the newest picture.
+        picture: picture of another view.
+        image_from_ray_map: transform to this picture's camera frame, see `GlWarp.draw`.
+        overlays: the newest picture's overlays, as its camera sees them.
     """
 
     picture: WarpedPicture
@@ -61,11 +61,11 @@ class WarpTarget:
     """The viewport of a framebuffer that a warped picture is drawn to.
 
     Attributes:
-        framebuffer: its first colour is drawn to, with the alpha of the picture.
+        framebuffer: framebuffer whose first colour is drawn to, with the alpha of the picture.
         first_px: (x, y) of the picture's corner with the smallest window coordinates.
         size_px: (width, height) of the picture; nothing else of the framebuffer is touched.
-        top_row_first: whether the picture's top row has the smallest window y, as in our own textures. False gives a
-            picture that is upright in OpenGL's sense.
+        top_row_first: whether the picture's top row has the smallest window y, as in our own textures. If False, the
+            picture is upright in OpenGL's sense.
     """
 
     framebuffer: gl.Framebuffer
@@ -76,13 +76,13 @@ class WarpTarget:
 
 @dataclass(frozen=True, eq=False)
 class GpuWarped:
-    """A picture in display pixels, as textures that the warp's next pictures overwrite; see `WarpedImage`.
+    """A picture in display pixels, in textures that the warp's next picture overwrites; see `WarpedImage`.
 
     Attributes:
-        context: whose textures they are.
+        context: context of the textures.
         colour: codes of the panel in the format of `PanelLight.bits`, top row first; alpha is the picture's, or 1.
-        status: R8UI.
-        source: RG32F, or None when not asked for.
+        status: R8UI texture.
+        source: RG32F texture, or None if not requested.
     """
 
     context: gl.GlContext
@@ -91,7 +91,7 @@ class GpuWarped:
     source: gl.Texture | None
 
     def read(self) -> WarpedImage:
-        """Fetch it."""
+        """Fetch the picture."""
         with self.context.drawing():
             colour = read_rgb(self.colour)
             source = None if self.source is None else gl.read(self.source, np.float32)
@@ -102,23 +102,23 @@ class GlWarp:
     """Warps images on the GPU; textures are reused between frames of one size.
 
     A first pass finds, for each cell of the warp grid, where its rays appear in the image and at which inverse depths
-    they may meet it. Cells that the image's depth moves by less than DIRECT_PX are sampled directly; pixels of the
-    others search along their rays. Where the context computes, this pass and the warp are compute shaders, and
-    `draw_into` copies the picture to its target. Elsewhere fragment shaders draw the cells, each kind in one call,
-    because software renderers run both sides of a branch for every pixel.
+    they may meet it. Cells that the image's depth moves by less than DIRECT_PX are sampled directly; pixels of other
+    cells search along their rays. Where the context computes (`GlContext.computes`), this pass and the warp are compute
+    shaders, and `draw_into` copies the picture to its target. Otherwise fragment shaders draw the cells, each kind in
+    one call, because software renderers run both sides of a branch for every pixel.
 
     An inset, a sharper image of a part of the field of view, is drawn in the same way over the wider image; the wider
     image skips the cells that the inset fills. The inset's border blends into the wider image (`PictureImport.take`),
     so that no seam is visible.
 
-    A backdrop, an older picture of another view, is drawn where the newest one is DISOCCLUDED. What is nearer than the
-    middle of the depths of the newest picture's cell is not taken from it: it may have moved since.
+    A backdrop, an older picture of another view, is drawn where the newest one is DISOCCLUDED. Its surfaces nearer than
+    the middle depth of the newest picture's cell are not used: they may have moved since.
     """
 
     def __init__(self, context: gl.GlContext, channels: int = 1, panel: PanelEncoder = SRGB_ENCODER) -> None:
-        """Prepare for one ray map, or for 3: one per colour channel (red, green, blue)."""
+        """Prepare for one ray map, or for three: one per colour channel (red, green, blue)."""
         self._context, self._channels, self._panel = context, channels, panel
-        self._ranges = GlDepthRanges(context)  # of the widest picture and of the backdrop
+        self._ranges = GlDepthRanges(context)  # depth ranges of the widest picture and of the backdrop
         self._cells: list[GlCells] = []
         self._backdrop_cells: GlCells | None = None
         self._targets = gl.RenderTargets(context)
@@ -141,17 +141,17 @@ class GlWarp:
         """Draw the display image and leave it on the GPU.
 
         Args:
-            image: in this object's context.
+            image: image in this object's context.
             ray_maps: world rays at the points of one warp grid, one map for each channel.
-            image_from_ray_map: rigid, from the camera frame of the ray maps to the image's, (4, 4), or
-                (rows, 4, 4) with one for each row of the warp grid.
+            image_from_ray_map: rigid transform from the camera frame of the ray maps to the image's, (4, 4), or (rows,
+                4, 4) with one for each row of the warp grid.
             size_px: (width, height) of the picture, which covers the panel.
             background: sRGB for pixels that show nothing of the image.
-            samples_per_axis: of the image, as in `WarpedPicture`.
-            with_source: make the pull map as well, in pixels of the image.
+            samples_per_axis: samples of the image, see `WarpedPicture`.
+            with_source: True to draw the pull map as well, in pixels of the image.
             overlays: pictures drawn over the image in this order, at most MAX_OVERLAYS.
-            insets: of the image's camera frame, each within the picture before and sharper.
-            backdrop: what is shown where the image and the insets are DISOCCLUDED. Status and pull map stay theirs.
+            insets: pictures in the image's camera frame, each within the picture before and sharper.
+            backdrop: picture that is shown where image and insets are DISOCCLUDED; status and pull map are unaffected.
 
         Raises:
             BadInputError: the number of ray maps or the shape of the transforms does not fit.
@@ -175,7 +175,7 @@ class GlWarp:
         insets: Sequence[WarpedPicture] = (),
         backdrop: Backdrop | None = None,
     ) -> None:
-        """Draw the colour of the same image into a caller's framebuffer; arguments and errors as `draw`."""
+        """Draw the colour alone into a caller's framebuffer; for arguments and errors see `draw`."""
         with self._context.drawing():
             before = target.framebuffer.viewport
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
@@ -193,7 +193,7 @@ class GlWarp:
     def _target_to_copy(self, size_px: tuple[int, int]) -> gl.RenderTarget:
         kind = (
             "nu2" if self._panel.texture_kind == "rgb10" else self._panel.texture_kind
-        )  # 2 bits are too few for alpha
+        )  # two bits are too few for alpha
         return self._targets.get("to copy", size_px, (4, kind), (1, "u1"))
 
     def _own_target(self, size_px: tuple[int, int], with_source: bool) -> gl.RenderTarget:
@@ -211,7 +211,7 @@ class GlWarp:
         overlays: Sequence[SeenOverlay],
         backdrop: Backdrop | None,
     ) -> None:
-        """Draw to a caller's target, or to one of ours: by a compute shader where the context prefers it."""
+        """Draw to a caller's target, or to one of ours, by a compute shader if the context computes."""
         size_px = target.size_px if isinstance(target, WarpTarget) else target.framebuffer.size
         _check(ray_maps, self._channels, image_from_ray_map)
         if backdrop is not None:
@@ -236,7 +236,7 @@ class GlWarp:
                 run()
 
     def _without_status(self, target: gl.RenderTarget) -> gl.RenderTarget:
-        """Return a target of the colour alone, drawn to while the status is read."""
+        """Return a target of the colour alone, to draw to while the status is read."""
         if target not in self._colours:
             colour = target.textures[0]
             self._colours[target] = gl.RenderTarget(self._context.framebuffer([colour]), (colour,))
@@ -259,7 +259,7 @@ class GlWarp:
         return cells
 
     def _runs(self, target: WarpTarget | gl.RenderTarget, warp_grid: WarpGrid, overlays: bool) -> list[_Run]:
-        """Return the programs that draw to a target: of both kinds of cells, or one for all; the last follows depth."""
+        """Return the programs that draw to a target: one per kind of cells, or one for both; the last follows depth."""
         if isinstance(target, gl.RenderTarget):
             if self._context.computes:
                 program = self._context.compute_program("warp.comp", **self._constants(overlays))
@@ -284,7 +284,7 @@ class GlWarp:
         return {"OVERLAYS": int(overlays), "CHANNELS": self._channels} | self._panel.constants | WARP_CONSTANTS
 
     def _copy(self, colour: gl.Texture, target: WarpTarget) -> None:
-        """Copy a picture to a caller's target, whose format and number of samples may be any."""
+        """Copy a picture to a caller's target of any format and number of samples."""
         copying = self._context.full_screen("copy.frag")
         target.framebuffer.viewport = (*target.first_px, *target.size_px)
         self._context.draw_to(target.framebuffer)
@@ -305,7 +305,7 @@ class GlWarp:
     ) -> None:
         """Give a program the textures and uniforms of a picture; overlays are None for a program without them.
 
-        A backdrop also has the cells and the status of the one in front.
+        For a backdrop they include cells and status of the picture in front.
         """
         image = picture.image
         gl.read_between_texels(image.colour)
@@ -337,9 +337,9 @@ class GlWarp:
 
 
 def _triangles_of(cells: int) -> NDArray[np.uint32]:
-    """Vertices of both triangles of each cell, whose corners are numbered by rows: (cells, 6).
+    """Return the vertices (cells, 6) of both triangles of each cell, with corners numbered by rows.
 
-    The last vertex of each has the values that hold for the whole triangle.
+    The last vertex of a triangle provides the values that hold for the whole triangle.
     """
     return np.array([1, 2, 0, 1, 2, 3], np.uint32) + 4 * np.arange(cells, dtype=np.uint32)[:, None]
 

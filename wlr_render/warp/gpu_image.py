@@ -16,18 +16,18 @@ from wlr_render.warp.warp import TILE
 
 @dataclass(frozen=True, eq=False)
 class GpuImage:
-    """Colour and inverse depth as textures, which the renderer's next image overwrites.
+    """Colour and inverse depth in textures that the renderer's next image overwrites.
 
     Attributes:
-        context: of the textures.
-        camera: of the image.
-        colour: (height, width), top row first, of a format whose samples are linear light: SRGB8_ALPHA8, whose texels
+        context: context of the textures.
+        camera: camera of the image.
+        colour: (height, width), top row first, in a format whose samples are linear light: SRGB8_ALPHA8, whose texels
             are sRGB codes, or RGBA16F or RGBA32F.
-        inverse_depth: (height, width) R32F, 1/m, 0 where nothing is.
-        view: from where it was drawn, if this library drew it.
+        inverse_depth: (height, width) R32F, 1/m, 0 for background.
+        view: view from which it was drawn, if this library drew it.
         is_overwritten: whether its renderer has since drawn another view into its textures.
-        encoding: of the texels: "srgb" codes or "linear" light.
-        has_alpha: whether the picture's colours are premultiplied with its alpha; otherwise alpha means nothing.
+        encoding: encoding of the texels: "srgb" codes or "linear" light.
+        has_alpha: whether the picture's colours are premultiplied with its alpha; otherwise alpha has no meaning.
     """
 
     context: gl.GlContext
@@ -40,7 +40,7 @@ class GpuImage:
     has_alpha: bool = False
 
     def read(self) -> GeometryImage:
-        """Fetch it, as sRGB codes."""
+        """Fetch the image, with colours as sRGB codes."""
         with self.context.drawing():
             inverse_depth = gl.read(self.inverse_depth, np.float32)
             if self.encoding == "linear":
@@ -50,13 +50,13 @@ class GpuImage:
 
 
 class LatestViews:
-    """View of the latest drawing under each name, which tells pictures that another one has overwritten."""
+    """Latest view drawn under each name, which shows whether a picture was overwritten."""
 
     def __init__(self) -> None:
         self._views: dict[str, View] = {}
 
     def drawn(self, name: str, view: View) -> Callable[[], bool]:
-        """Note a drawing; returns `GpuImage.is_overwritten` of its picture. The same view again shows the same."""
+        """Record a drawing; return its picture's `GpuImage.is_overwritten`. The same view again overwrites nothing."""
         self._views[name] = view
         return lambda: not _is_same(self._views[name], view)
 
@@ -80,7 +80,7 @@ class DepthRanges:
     """Smallest and largest inverse depths of an image, as RG32F textures.
 
     Attributes:
-        tiles: of TILE x TILE px, from the upper left corner.
+        tiles: ranges of tiles of TILE x TILE px, from the upper left corner.
         pyramid: see `range_pyramid.frag`.
     """
 
@@ -89,19 +89,19 @@ class DepthRanges:
 
 
 class GlDepthRanges:
-    """Computes `DepthRanges`, and keeps those of two images; textures are reused between images of one size."""
+    """Computes `DepthRanges`, and keeps them for two images; textures are reused between images of one size."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._targets = gl.RenderTargets(context), gl.RenderTargets(context)
-        self._kept: list[tuple[GpuImage, DepthRanges]] = []  # the newest first
+        self._kept: list[tuple[GpuImage, DepthRanges]] = []  # newest first
         with context.drawing():
             self._of_image = gl.Pass(context, "tile_range.frag", TILE=TILE)
             self._of_tiles = gl.Pass(context, "range_pyramid.frag", TILE=TILE)
 
     def of(self, image: GpuImage) -> DepthRanges:
-        """Return textures that the image after the next one overwrites. Call within a `drawing` block.
+        """Return an image's ranges, in textures that the image after the next overwrites. Call in a `drawing` block.
 
-        An image that is warped again, as for a newer pose, has them already.
+        An image that is warped again, such as for a newer pose, reuses its ranges.
         """
         for kept, ranges in self._kept:
             if kept is image:
