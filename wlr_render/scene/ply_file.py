@@ -74,7 +74,7 @@ class PlyFile:
 
     Raises:
         BadInputError: the header has no end, an unknown type or no format, or promises other rows than there are; a
-        colour is incomplete; an index or a texture is missing.
+            colour is incomplete; an index or a texture is missing.
     """
 
     def __init__(self, path: Path, content: bytes, neighbours: Neighbours) -> None:

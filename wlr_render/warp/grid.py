@@ -1,8 +1,8 @@
 """Regular grid of points on the panel at which rays are solved, and the interpolation between the points.
 
-Each cell is two triangles, cut from the upper right to the lower left. Over a triangle values are interpolated
-linearly; the quadratic remainder is added from second differences of the tangents at the grid points, themselves
-interpolated linearly.
+Each cell is two triangles, cut from the upper right to the lower left. Values are interpolated linearly over a
+triangle; the quadratic remainder is added from second differences of the tangents at the grid points, which are
+interpolated linearly too.
 """
 
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ class WarpGrid:
     """Points in rows and columns over a panel, the top row first.
 
     Attributes:
-        panel: of the pixel positions.
-        columns, rows: how many points.
+        panel: panel of the pixel positions.
+        columns, rows: numbers of points.
         first_px: (2,) panel position of the first point.
-        step_px: (2,) from one point to the next.
+        step_px: (2,) distance between neighbouring points.
     """
 
     panel: Panel
@@ -36,23 +36,23 @@ class WarpGrid:
 
     @classmethod
     def of_pixels(cls, panel: Panel, size_px: tuple[int, int] | None = None) -> "WarpGrid":
-        """Return the pixel centres of a picture (width, height) that covers the panel; the panel's own if None."""
+        """Return the pixel centres of a picture (width, height) that covers the panel; the panel's pixels if None."""
         columns, rows = (panel.width_px, panel.height_px) if size_px is None else size_px
         step = panel.size_px / [columns, rows]
         return cls(panel, columns, rows, 0.5 * step, step)
 
     @classmethod
     def edge_to_edge(cls, panel: Panel, columns: int, rows: int) -> "WarpGrid":
-        """Points from the panel's outer edges inwards, so that every pixel lies between some."""
+        """Return points from edge to edge of the panel, so that every pixel lies between points."""
         return cls(panel, columns, rows, np.zeros(2), panel.size_px / [columns - 1, rows - 1])
 
     @property
     def size(self) -> tuple[int, int]:
-        """(columns, rows), as a texture's size."""
+        """(columns, rows), like a texture's size."""
         return self.columns, self.rows
 
     def axes_px(self) -> tuple[FloatArray, FloatArray]:
-        """Panel positions u (columns,) and v (rows,) of the points."""
+        """Return the panel positions u (columns,) and v (rows,) of the points."""
         u, v = (
             first + step * np.arange(count)
             for first, step, count in zip(self.first_px, self.step_px, self.size, strict=True)
@@ -60,7 +60,7 @@ class WarpGrid:
         return u, v
 
     def panel_pixel(self) -> FloatArray:
-        """Panel positions of all points, (rows, columns, 2)."""
+        """Return the panel positions of all points, (rows, columns, 2)."""
         return np.stack(np.meshgrid(*self.axes_px()), axis=-1)
 
     def triangles(self) -> NDArray[np.uint32]:
@@ -70,11 +70,11 @@ class WarpGrid:
         return np.asarray((corner[..., 1] * self.columns + corner[..., 0]).reshape(-1, 3), np.uint32)
 
     def interpolated(self, slope_offset: FloatArray, pixel: FloatArray, bends: bool = True) -> FloatArray:
-        """Rays (n, 4) at panel positions (n, 2), as the warp interpolates the grid's rays (4, rows, columns).
+        """Return rays (n, 4) at panel positions (n, 2), as the warp interpolates the grid's rays (4, rows, columns).
 
-        Without `bends` linearly, as the triangles of a mesh.
+        Without `bends`, interpolate linearly, like the triangles of a mesh.
 
-        NaN in a triangle with a corner whose ray is NaN.
+        NaN in a triangle with a NaN ray at a corner.
         """
         place = (pixel - self.first_px) / self.step_px
         cell = np.clip(place.astype(int), 0, np.array(self.size) - 2)
@@ -98,14 +98,14 @@ class WarpGrid:
 def _second_differences(values: FloatArray) -> dict[str, FloatArray]:
     """Return second differences of values (k, rows, columns) at each point, per grid step squared.
 
-    Where a neighbour is missing or beyond the border, take the mean of the next points' differences, or 0 without any.
+    Where a neighbour is missing or beyond the border, use the mean of the adjacent points' differences, else 0.
     A mixed difference is the mean over the cells around the point.
     """
     padded = np.pad(values, ((0, 0), (2, 2), (2, 2)), constant_values=np.nan)
     found = {}
     for name, axis in (("along_rows", 2), ("along_columns", 1)):
         line = np.take(padded, np.arange(2, padded.shape[3 - axis] - 2), 3 - axis)
-        difference = np.diff(line, 2, axis=axis)  # about the points, and one more at either end
+        difference = np.diff(line, 2, axis=axis)  # at the points, and at one more on either end
         before, about, after = (np.take(difference, np.arange(k, k + values.shape[axis]), axis) for k in range(3))
         found[name] = np.where(np.isnan(about), _mean_of_known([before, after]), about)
     of_cells = np.diff(np.diff(padded[:, 1:-1, 1:-1], axis=1), axis=2)

@@ -1,4 +1,4 @@
-"""Light of a panel: which code gives how much light, and where on the panel and in a pixel."""
+"""Light of a panel: light per code, uniformity over the panel, and sub-pixel positions."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -19,13 +19,13 @@ class PanelLight:
     """Response of a panel: the light that it emits for each code.
 
     Attributes:
-        encoding: "srgb"; "linear", for a compositor that takes light, which is not clipped in half floats; the exponent
-            of a gamma curve (light = code ^ exponent), 0.2 to 5; or a measured table (n, 3): the light of red, green
-            and blue for n codes in equal steps from 0 to the largest, where 1 is the light of the picture's white.
-            Light outside a primary's table becomes its first or last code.
+        encoding: "srgb"; "linear", for a compositor that takes linear light, which is not clipped in half floats; the
+            exponent of a gamma curve (light = code ^ exponent), 0.2 to 5; or a measured table (n, 3): the light of red,
+            green and blue for n codes in equal steps from 0 to the largest, where 1 is the light of the picture's
+            white. Light outside a primary's table becomes its first or last code.
         uniformity: factors of linear light, 0 to 1, (height, width) or (height, width, 3), of the display picture's
             size, top row first: smaller where the panel is brighter.
-        sub_pixel_px: (3, 2) places of the sub-pixels of red, green and blue from the pixel's centre, in display pixels,
+        sub_pixel_px: (3, 2) positions of the red, green and blue sub-pixels from the pixel's centre, in display pixels,
             x right and y down; each primary is drawn along the ray of its sub-pixel.
         bits: bits per channel of the textures that we draw to: 8 (RGBA8), 10 (RGB10_A2) or 16 (RGBA16F).
 
@@ -55,9 +55,9 @@ class PanelLight:
             raise BadInputError(f"bits is {shown(self.bits)}; choose from 8, 10, 16.")
 
     def code_of_light(self) -> Float32Array | None:
-        """Codes 0 to 1 of each primary for n lights, whose fourth roots are in equal steps from 0 to 1: (n, 3).
+        """Return codes (n, 3), 0 to 1, of each primary for n lights with fourth roots in equal steps from 0 to 1.
 
-        None where a table is not needed. Codes of all usual curves are smooth in the fourth root.
+        None if no table is needed. The codes of all usual curves are smooth in the fourth root.
         """
         if isinstance(self.encoding, str):
             return None

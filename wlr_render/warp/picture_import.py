@@ -1,4 +1,4 @@
-"""Import of pictures that other programs rendered, as the GPU images that the warp reads."""
+"""Import of other programs' pictures as the GPU images that the warp reads."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -26,7 +26,7 @@ from wlr_render.warp.stored_picture import (
 )
 
 BORDER = 0.1
-"""Width of the border in which an inset changes to the wider picture, as a share of its shorter side."""
+"""Width of the border in which an inset blends into the wider picture, as a share of its shorter side."""
 
 
 class PictureImport:
@@ -51,15 +51,15 @@ class PictureImport:
         stored_colour: StoredColour = CODES,
         wider: GpuImage | None = None,
     ) -> GpuImage:
-        """Return a picture of any kind that `Compositor.submit` takes; rows lie as usual for that kind if None.
+        """Import a picture of any kind that `Compositor.submit` takes, with that kind's usual row order if None.
 
         Args:
-            camera: that drew it.
-            colour, depth: as in `Compositor.submit`.
+            camera: camera that drew it.
+            colour, depth: see `Compositor.submit`.
             stored: encoding of the depth.
-            rows: which row comes first.
+            rows: row that comes first.
             stored_colour: encoding of the colours.
-            wider: for an inset, the picture around it, of the same camera frame. Within BORDER of the inset's sides its
+            wider: for an inset, the picture around it, in the same camera frame. Within BORDER of the inset's sides its
                 colours blend into the wider picture's, in linear light. Without a depth it takes the wider picture's.
 
         Raises:
@@ -95,7 +95,7 @@ class PictureImport:
         stored_colour: StoredColour = CODES,
         wider: GpuImage | None = None,
     ) -> GpuImage:
-        """Return a picture in memory: colours (height, width, 3 or 4) of `COLOUR_TYPES`, depth (height, width) or None.
+        """Import a picture in memory: colours (height, width, 3 or 4) of `COLOUR_TYPES`, depth (height, width) or None.
 
         Raises:
             BadInputError: as `stored_picture.check_arrays`.
@@ -123,13 +123,13 @@ class PictureImport:
         stored_colour: StoredColour = CODES,
         wider: GpuImage | None = None,
     ) -> GpuImage:
-        """Return a picture in textures of the image's context; see `is_texture`. The depth may be None.
+        """Import a picture in textures of the image's context; see `is_texture`. The depth may be None.
 
-        Plain textures and layers of arrays are read as they are; others are copied first, see `given_pictures`. The
+        Plain textures and layers of arrays are read directly; others are copied first, see `given_pictures`. The
         depth may have a depth format, or be the first component of a colour format.
 
         Raises:
-            BadInputError: a texture of another context or size, or of a format that cannot be read or copied; no such
+            BadInputError: a texture of another context or size, or of a format that cannot be read or copied; a missing
                 layer or level; metres in a depth format.
         """
         with self._context.drawing():
@@ -145,12 +145,12 @@ class PictureImport:
         return self._given.of_textures([each for _, each in named], size, stored)
 
     def colour_alone(self, picture: Any, stored_colour: StoredColour, rows: Rows | None = None) -> gl.Texture:
-        """Return a picture without depth and camera as the texture of its colours, of a format of `GpuImage.colour`.
+        """Import a picture without depth and camera as a texture of its colours, in a format of `GpuImage.colour`.
 
         Args:
             picture: an array (height, width, 3 or 4), or a texture of any kind that `from_textures` takes.
             stored_colour: encoding of the colours.
-            rows: which row comes first; as usual for that kind if None.
+            rows: row that comes first; as usual for that kind if None.
 
         Raises:
             BadInputError: as `stored_picture.check_colour_array` and `from_textures`.
@@ -172,14 +172,14 @@ class PictureImport:
         stored_colour: StoredColour = CODES,
         wider: GpuImage | None = None,
     ) -> GpuImage:
-        """Return a picture in a framebuffer object, ModernGL's or by its OpenGL number.
+        """Import a picture in a framebuffer object, ModernGL's or by its OpenGL number.
 
-        Its textures are read as `from_textures` reads them. Of several samples per pixel colours are averaged; of their
-        depths OpenGL takes one, usually sample 0, which lies up to half a pixel from the centre.
+        Its textures are read like those in `from_textures`. With several samples per pixel, colours are averaged;
+        OpenGL takes the depth of one sample, usually sample 0, which lies up to half a pixel from the centre.
 
         Raises:
-            BadInputError: a framebuffer of another context or size, or whose colour or depth is missing or of a kind
-                that cannot be copied; metres in a depth format.
+            BadInputError: a framebuffer of another context or size, a colour or depth that is missing or cannot be
+                copied; metres in a depth format.
         """
         if not is_number(framebuffer):
             _check_context(self._context, "framebuffer", framebuffer)
@@ -188,11 +188,11 @@ class PictureImport:
             return self._take(camera, given, stored, rows, stored_colour, wider)
 
     def inset_program(self) -> gl.VertexArray:
-        """Return the drawing of insets, compiled when it is first asked for."""
+        """Return the drawing of insets, compiled on first use."""
         return self._program(False, [None, None], is_inset=True)
 
     def _program(self, decodes: bool, layers: Sequence[int | None], is_inset: bool = False) -> gl.VertexArray:
-        """Return the drawing of pictures whose colour and depth are in these layers of textures, None if plain."""
+        """Return the drawing of pictures with colour and depth in these layers; None for plain textures."""
         of_layers = dict(
             zip(("COLOUR_LAYERS", "DEPTH_LAYERS"), (int(each is not None) for each in layers), strict=True)
         )
@@ -219,9 +219,9 @@ class PictureImport:
         stored_colour: StoredColour,
         inset: tuple[Pinhole, GpuImage] | None = None,
     ) -> Sequence[gl.Texture]:
-        """Convert textures to colour, and inverse depth if there is a depth or a wider picture to take it from.
+        """Convert textures to colour, and to inverse depth if they or a wider picture have a depth.
 
-        A caller's textures may have any filter, so that they are read by a sampler of ours.
+        A caller's textures may have any filter, so they are read with a sampler of ours.
         """
         colour, depth = given[0], given[-1]
         has_depth = len(given) > 1
@@ -249,7 +249,7 @@ class PictureImport:
                 decodes=decodes,
             )
         gl.bind_textures(program, **textures)
-        # Codes of fewer bits than the numbers of a uint16 texture, which holds 65535 as 1.
+        # The scale of codes with fewer bits in a uint16 texture, in which 65535 is read as 1.
         is_uint16 = isinstance(colour.texture, gl.Texture) and colour.texture.dtype == "nu2"
         of_largest = 65535 / ((1 << stored_colour.bits) - 1) if is_uint16 else 1.0
         gl.set_uniforms(
@@ -265,7 +265,7 @@ class PictureImport:
             limits=stored.limits,
             nothing=stored.nothing,
         )
-        # Without a depth the unit after the colour's has another picture.
+        # Without a depth, the unit after the colour's belongs to another picture.
         units = range(len(given) if any(each.is_callers or each.is_srgb for each in given) else 0)
         for unit in units:
             self._samplers[stored_colour.encoding].use(unit)

@@ -1,9 +1,9 @@
-"""Settings of one eye that all frames share: the camera of the intermediate image, its position, warp grid and filter.
+"""Settings of one eye for all frames: the camera of the intermediate image, its position, warp grid and filter.
 
-The paper (section 4.2) puts the raster camera at the viewpoint. From there it does not see along the bent rays, which
-miss it by up to millimetres; behind an edge it misses the surfaces that the rays meet. Most of that offset is common to
-all rays: a thick see-through element makes the eye appear elsewhere, and a camera at that place sees almost along the
-rays. This is the default, "nearest"; the paper's is "viewpoint".
+The paper (section 4.2) puts the raster camera at the viewpoint. From there it does not look along the bent rays, which
+miss it by up to millimetres; behind an edge it does not see the surfaces that the rays meet. Most of that offset is
+common to all rays: a thick see-through element makes the eye appear displaced, and a camera at the apparent position
+looks almost along the rays. This is the default, "nearest"; the paper's position is "viewpoint".
 """
 
 import functools
@@ -41,17 +41,17 @@ def intermediate_camera(
     size_px: tuple[int, int],
     margin: float,
 ) -> Pinhole:
-    """Intrinsics of the raster camera that cover the field of view of all viewpoints in the eye box.
+    """Return intrinsics of the raster camera that cover the field of view of all viewpoints in the eye box.
 
     The mappings are queried at the eye box's centre and corners.
 
     Args:
-        channels: one pair, or one per colour channel.
+        channels: one pair of mappings, or one per colour channel.
         device_from_camera: (3, 3) axes of the camera.
-        resolution: it has `resolution`^2 times as many pixels as the display, square in tangents.
+        resolution: the image has `resolution`^2 times as many pixels as the display, square in tangents.
         size_px: (width, height) of the display.
-        margin: tangents added on every side, for a head that turns between drawing and scan-out. They get pixels of
-            their own: the resolution stays.
+        margin: tangents added on every side, with additional pixels, for a head that turns between drawing and
+            scan-out.
     """
     box, (width, height) = channels[0].eye_box, size_px
     corners = [np.array([x, y, z]) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
@@ -72,16 +72,16 @@ _PAIRS = np.triu_indices(4)
 
 
 def nearest_point_to_rays(slope_offset: FloatArray) -> FloatArray:
-    """Return the point (3,) that minimises the squares of the rays' offsets from it, in the rays' camera frame.
+    """Return the point (3,) with the least sum of squared offsets of the rays, in the rays' camera frame.
 
     A ray is at (c - a z, d - b z, z); its offset from (x, y, z) is measured across the viewing axis, so that the
     point is a regression of (c, d) on (a, b): (c, d) = (x, y) + z (a, b).
 
     Args:
-        slope_offset: (4, ...), (a, b, c, d) as `RayMap.slope_offset`; rays with a NaN do not count.
+        slope_offset: (4, ...), (a, b, c, d) as in `RayMap.slope_offset`; rays with a NaN are ignored.
 
     Returns:
-        The point; the origin where no ray counts, and z = 0 where all are parallel.
+        The point; the origin if there are no rays, and z = 0 if all are parallel.
     """
     rays = np.asarray(slope_offset, dtype=np.float64).reshape(4, -1)
     rays = rays[:, np.isfinite(rays).all(axis=0)]
@@ -98,7 +98,7 @@ class RasterPosition:
     """Position of the raster camera as a function of the viewpoint: a quadratic polynomial fitted over the eye box."""
 
     def __init__(self, mappings: Eye, device_from_camera: FloatArray) -> None:
-        """Fit; best for a camera with these axes (3, 3), across whose viewing axis offsets are measured."""
+        """Fit, for a camera with the given axes (3, 3); offsets are measured across its viewing axis."""
         eye_box, pixel = mappings.eye_box, mappings.display.panel.grid(_GRID, _GRID)
         half = 0.5 * np.maximum(eye_box.size, 1e-6)
         self._box = Box(eye_box.centre - half, eye_box.centre + half)
@@ -113,14 +113,14 @@ class RasterPosition:
         self._coefficients, *_ = np.linalg.lstsq(self._terms(viewpoints), shift)
 
     def at(self, viewpoint: FloatArray) -> FloatArray:
-        """Camera positions (..., 3) for viewpoints (..., 3), both in the device frame.
+        """Return camera positions (..., 3) for viewpoints (..., 3), both in the device frame.
 
-        Outside the eye box the shift of the box's nearest point applies, so that it neither jumps nor grows.
+        Outside the eye box the shift is that at the box's nearest point, so that it neither jumps nor grows.
         """
         return np.asarray(viewpoint + self._terms(viewpoint) @ self._coefficients)
 
     def _terms(self, viewpoint: FloatArray) -> FloatArray:
-        """Return the products of every two of 1 and the scaled coordinates, (..., 10)."""
+        """Return all products of two out of 1 and the scaled coordinates, (..., 10)."""
         scaled = self._box.scaled(viewpoint).clip(-1, 1)
         factors = np.concatenate([np.ones_like(scaled[..., :1]), scaled], axis=-1)
         return np.asarray((factors[..., :, None] * factors[..., None, :])[..., *_PAIRS])
@@ -140,15 +140,15 @@ _POINTS = 33
 def largest_minification(
     slope_offset: Float32Array, warp_grid: WarpGrid, camera: Pinhole, size_px: tuple[int, int]
 ) -> float:
-    """Largest minification: image pixels per display pixel, in the direction and at the position where it is largest.
+    """Return the largest number of image pixels per display pixel, over directions and positions.
 
-    The largest singular value of the map's derivative for points at infinity, by differences between warp grid points;
-    0 if no ray is known.
+    It is the largest singular value of the map's Jacobian for points at infinity, by differences between warp grid
+    points; 0 if no ray is known.
 
     Args:
         slope_offset: (4, rows, columns) in the image's camera frame, at the points of `warp_grid`; at least 2 x 2.
-        warp_grid: where.
-        camera: of the image.
+        warp_grid: the warp grid of the rays.
+        camera: camera of the image.
         size_px: (width, height) of the display picture, which covers the panel.
     """
     _, sides, area = _footprints(slope_offset, warp_grid, camera, size_px)
@@ -160,12 +160,12 @@ def largest_minification(
 def _footprints(
     slope_offset: Float32Array, warp_grid: WarpGrid, camera: Pinhole, size_px: tuple[int, int]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the places of a warp grid's points in an image, and display pixels there, for points at infinity.
+    """Return the positions of a warp grid's points in an image, and the display pixels there, for points at infinity.
 
-    Arguments as `largest_minification`.
+    For the arguments see `largest_minification`.
 
     Returns:
-        The places (rows, columns, 2), and the sides (rows, columns, 2, 2), across and down, and the areas of display
+        The positions (rows, columns, 2), and the sides (rows, columns, 2, 2), across and down, and areas of display
         pixels, in image pixels.
     """
     points_per_pixel = warp_grid.panel.size_px / size_px / warp_grid.step_px
@@ -178,12 +178,12 @@ def _footprints(
 def minification_over_eye_box(
     mappings: Eye, device_from_camera: FloatArray, camera: Pinhole, size_px: tuple[int, int]
 ) -> float:
-    """`largest_minification` of an eye's ray maps at the centre of the eye box and at its nearest and farthest corners.
+    """Return the `largest_minification` at the centre of the eye box and at its nearest and farthest corners.
 
     Args:
         mappings: any display and see-through mappings.
         device_from_camera: (3, 3) axes of the camera.
-        camera: of the image.
+        camera: camera of the image.
         size_px: (width, height) of the display picture.
     """
     maps = _maps_of(mappings, device_from_camera, [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)])
@@ -206,16 +206,16 @@ def samples_for(minification: float) -> int:
     return min(max(math.ceil(minification / SPACING_PX), 1), MAX_SAMPLES)
 
 
-_SLACK = 1e-3  # of a display pixel, for rounding
+_SLACK = 1e-3  # share of a display pixel allowed for rounding
 _BLOCKS = np.array([(4, 4), (4, 2), (2, 4), (2, 2), (2, 1), (1, 2), (1, 1)])
-"""Pixels (width, height) that Vulkan and Direct3D 12 can shade as one, the coarsest first."""
+"""Blocks of pixels (width, height) that Vulkan and Direct3D 12 can shade as one, coarsest first."""
 
 
 def _cells_of(place: FloatArray, sides: FloatArray, area: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the cells of a warp grid in an image, from `_footprints`: those with a corner that has a ray.
+    """Return the cells of a warp grid in an image that have a ray at a corner, from the results of `_footprints`.
 
     Returns:
-        First and last pixels (n, 2) of each, and whether each of `_BLOCKS` (n, blocks) is larger than a display pixel.
+        First and last pixels (n, 2) of each cell, and which of `_BLOCKS` (n, blocks) are larger than a display pixel.
     """
     is_known = np.asarray(np.isfinite(place).all(axis=-1))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -233,7 +233,7 @@ def _cells_of(place: FloatArray, sides: FloatArray, area: FloatArray) -> tuple[F
 
 
 def _boxes_cover(first: IntArray, last: IntArray, size: tuple[int, int]) -> BoolArray:
-    """Return (rows, columns): which places of a raster (columns, rows) boxes (n, 2) of (column, row) contain."""
+    """Return the mask (rows, columns) of a raster (columns, rows) that the boxes (n, 2) of (column, row) cover."""
     corners = np.zeros((size[1] + 1, size[0] + 1), dtype=np.int64)
     (left, top), (right, bottom) = np.clip(first, 0, size).T, np.clip(last + 1, 0, size).T
     for x, y, sign in ((left, top, 1), (right, top, -1), (left, bottom, -1), (right, bottom, 1)):
@@ -250,8 +250,8 @@ class EyePlan:
         channels: one pair of mappings, or one per colour channel.
         size_px: (width, height) of the display's picture, which covers the panel.
         device_from_camera: (3, 3) axes of the intermediate image and of the ray map.
-        camera: of the intermediate image.
-        raster_position: position of that camera as a function of the viewpoint; None: the viewpoint itself.
+        camera: camera of the intermediate image.
+        raster_position: position of that camera as a function of the viewpoint; None for the viewpoint itself.
         minification: largest minification of that image, see `minification_over_eye_box`.
         late_margin: tangents by which the head may turn between drawing and scan-out.
     """
@@ -269,7 +269,7 @@ class EyePlan:
     def warp_grid(self) -> ChosenWarpGrid:
         """The warp grid, and its measured interpolation error.
 
-        The densest grid that any colour channel needs. Computed on first use: only a compositor needs it.
+        It is the densest grid that any colour channel needs, computed on first use: only a compositor needs it.
         """
         models = {id(mappings): mappings for mappings in self.channels}.values()  # one model may serve all colours
         chosen = [choose_warp_grid(mappings, self.device_from_camera) for mappings in models]
@@ -287,13 +287,13 @@ class EyePlan:
         """Make the plan.
 
         Args:
-            channels: of one eye.
+            channels: mappings of one eye, per channel.
             size_px: (width, height) of the display.
-            resolution: of the intermediate image, as in `intermediate_camera`.
+            resolution: resolution of the intermediate image, see `intermediate_camera`.
             raster_camera: position of the camera of the intermediate image.
             late_margin: tangents by which the head may turn between drawing and scan-out.
         """
-        importlib.import_module("scipy.spatial.transform")  # takes half a second, for which no frame may wait
+        importlib.import_module("scipy.spatial.transform")  # takes half a second, which must not delay a frame
         middle = middle_channel(channels)
         axes = middle_axes(middle)
         camera = intermediate_camera(channels, axes, resolution, size_px, late_margin)
@@ -303,19 +303,19 @@ class EyePlan:
 
     @functools.cached_property
     def samples_per_axis(self) -> int:
-        """Samples per display pixel and axis that the filter takes."""
+        """Samples of the filter per display pixel and axis."""
         return self.samples_of(self.camera)
 
     def samples_of(self, camera: Pinhole) -> int:
-        """Return the same of an inset's camera."""
+        """Return the samples for an inset's camera."""
         return samples_for(float(np.max(camera.focal_px / self.camera.focal_px)) * self.minification)
 
     def shading_rate(self, tile_px: tuple[int, int] = (16, 16)) -> NDArray[np.uint8]:
-        """Return how coarsely the intermediate image may be shaded, for each of its tiles.
+        """Return the coarsest shading rate of each tile of the intermediate image.
 
-        Where the warp minifies the image, a block of its pixels may be shaded as one: the largest that no display pixel
-        is smaller than, at the centre and the corners of the eye box and within `late_margin`. Tiles that no ray meets
-        then have 4 x 4.
+        Where the warp minifies the image, a block of its pixels may be shaded as one: the largest
+        block that is not larger than any display pixel, at the centre and the corners of the eye box and within
+        `late_margin`. Tiles without rays have 4 x 4.
 
         Args:
             tile_px: (width, height) of a tile, the `shadingRateAttachmentTexelSize` of Vulkan or the
@@ -326,7 +326,7 @@ class EyePlan:
             Vulkan's attachment and the values of D3D12_SHADING_RATE.
 
         Raises:
-            BadInputError: no size.
+            BadInputError: invalid size.
         """
         tile = np.asarray(tile_px)
         if tile.shape != (2,) or tile.dtype.kind not in "iu" or tile.min() < 1:

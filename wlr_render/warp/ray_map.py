@@ -1,6 +1,6 @@
 """The world ray of every display pixel at one viewpoint: display forward, then see-through forward.
 
-The ray map is smooth in the pixel, so that it is solved exactly on a tensor grid of Chebyshev nodes and carried to the
+The ray map is smooth in the pixel, so it is solved exactly on a tensor grid of Chebyshev nodes and interpolated at the
 points of a warp grid, mostly all pixels, by two thin matrix products per component. `choose_plan` finds the number of
 nodes from a measured error; `solve_every_pixel` is the slow plain version, which solves every pixel.
 """
@@ -20,19 +20,19 @@ from wlr_render.warp.grid import WarpGrid
 NODE_COUNTS = (9, 13, 17, 21, 25, 33, 41, 49)
 _ROWS_PER_BLOCK = 64
 _GRID = 33
-_EXTRAPOLATED = 0.25  # weight of the errors of values outside the fit
+_EXTRAPOLATED = 0.25  # weight of errors outside the fitted box
 NEAREST_M = 0.25
-"""Nearest distance at which the ray map's error is judged; an offset of the ray counts more the nearer the scene."""
+"""Nearest distance at which the ray map's error is judged; the nearer the scene, the more a ray's offset matters."""
 
 
 @dataclass(frozen=True, eq=False)
 class RayMapPlan:
-    """Interpolation from Chebyshev nodes to the points of a warp grid; made once per panel.
+    """Interpolation from Chebyshev nodes to the points of a warp grid; computed once per panel.
 
     Attributes:
-        device_from_camera: (3, 3) rotation to the axes in which tangents are taken. They look at the middle of the
-            field of view, so that one far off the device's axis is not stretched.
-        warp_grid: the points where rays are wanted.
+        device_from_camera: (3, 3) rotation from the axes of the tangents. These look at the middle of the field of
+            view, so that a field of view far off the device's axis is not stretched.
+        warp_grid: the points where rays are computed.
         node_pixel: (rows, columns, 2) pixel positions of the nodes.
         from_rows: (warp grid rows, rows) float32, node rows -> warp grid rows.
         from_columns: (columns, warp grid columns) float32, node columns -> warp grid columns.
@@ -86,7 +86,7 @@ class WarmStart:
 
 @dataclass(frozen=True, eq=False)
 class RayMap:
-    """World rays of all points of a warp grid, mostly the pixels, at one viewpoint; camera frame, origin there.
+    """World rays of all points of a warp grid, mostly the pixels, in a camera frame with its origin at the viewpoint.
 
     Attributes:
         viewpoint_in_device: (3,) metres.
@@ -94,7 +94,7 @@ class RayMap:
         slope_offset: (4, height, width) float32, (a, b, c, d): the ray passes through (c, d, 0) with tangents (a, b);
             at depth Z in front of the viewpoint it is at (a Z + c, b Z + d, -Z). NaN where the status has no value.
         status: (height, width) uint8, see `mappings.Status`.
-        warm_start: pass it to the next frame.
+        warm_start: start for the next frame.
     """
 
     viewpoint_in_device: FloatArray
@@ -109,13 +109,13 @@ class RayMap:
         return self.slope_offset.shape[1], self.slope_offset.shape[2]
 
     def world_rays(self, world_from_device: FloatArray, rows: slice = slice(None)) -> tuple[Float32Array, Float32Array]:
-        """Rays of some rows in the world: origins and unit directions, each (rows * width, 3) float32.
+        """Return the rays of some rows in the world: origins and unit directions, each (rows * width, 3) float32.
 
-        An origin is the point near the viewpoint where the straight continuation of the bent ray passes it; NaN where
-        the ray map has no value. For renderers other than ours: these, with `status`, are the primary rays of a frame.
+        An origin is the point where the straight continuation of the bent ray passes near the viewpoint; NaN where the
+        ray map has no value. With `status`, they are a frame's primary rays for other renderers.
         """
         a, b, c, d = self.slope_offset[:, rows].reshape(4, -1)
-        # Named rows of the rotation keep this in float32 and free of (n, 3) temporaries.
+        # Unpacked rows of the rotation keep this in float32 and avoid (n, 3) temporaries.
         r = (world_from_device[:3, :3] @ self.device_from_camera).astype(np.float32)
         eye = transforms.apply(world_from_device, self.viewpoint_in_device).astype(np.float32)
         scale = 1.0 / np.sqrt(a * a + b * b + 1.0)
@@ -128,7 +128,7 @@ class RayMap:
 
 @dataclass(frozen=True, eq=False)
 class SolvedRays:
-    """Exact solutions at some pixels: `slope_offset` (..., 4) as `RayMap.slope_offset`, `status` (...)."""
+    """Exact solutions at some pixels: `slope_offset` (..., 4), see `RayMap.slope_offset`, and `status` (...)."""
 
     slope_offset: FloatArray
     status: StatusArray
@@ -174,7 +174,7 @@ def solve_pixels(
 ) -> SolvedRays:
     """Query the mappings at pixels (..., 2) for one viewpoint (3,), in axes (3, 3).
 
-    A pixel that the display has no direction for keeps the display's status.
+    A pixel without a direction keeps the display's status.
     """
     warm_start = warm_start or WarmStart(None, None)
     view = mappings.display.view_dir_of_pixel(pixel, viewpoint, warm_start.display)
@@ -183,7 +183,7 @@ def solve_pixels(
     in_camera = rays.transformed(transforms.inverse(transforms.rigid(device_from_camera, viewpoint)), real.value)
     at_viewpoint = rays.at_z(in_camera, 0.0)
     slope_offset = np.concatenate([directions.tangents_of_dir(at_viewpoint[..., 3:]), at_viewpoint[..., :2]], axis=-1)
-    # A ray that does not lead forwards has no tangents: there is nothing to see along it.
+    # A ray that does not point forwards has no tangents, and shows nothing.
     lost = ~np.isfinite(slope_offset).all(axis=-1)
     slope_offset = np.where(lost[..., None], np.nan, slope_offset)
     status = np.where(lost & (status <= Status.OUTSIDE_FIT), Status.MISS, status).astype(np.uint8)
@@ -193,12 +193,12 @@ def solve_pixels(
 def solve_every_pixel(
     mappings: Eye, viewpoint: FloatArray, device_from_camera: FloatArray, pixel: FloatArray | None = None
 ) -> RayMap:
-    """Solve every pixel, which takes minutes: for a reference, or where the nodes have holes.
+    """Solve every pixel, which takes minutes: as a reference, or for nodes with holes.
 
     Args:
         mappings: any display and see-through mappings.
         viewpoint: (3,) device frame.
-        device_from_camera: (3, 3) axes in which tangents are taken.
+        device_from_camera: (3, 3) axes of the tangents.
         pixel: (height, width, 2), all pixel centres if None.
     """
     pixel = mappings.display.panel.pixel_centres() if pixel is None else pixel
@@ -216,13 +216,13 @@ def solve_every_pixel(
 def ray_map(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, warm_start: WarmStart | None = None) -> RayMap:
     """Return the ray map of a viewpoint, interpolated between the Chebyshev nodes of `plan`.
 
-    Where a node has no answer the polynomial through the nodes means nothing; then every warp grid point is solved.
+    If a node has no answer, the polynomial through the nodes is meaningless, and every warp grid point is solved.
 
     Args:
         mappings: any display and see-through mappings, with the plan's panel.
         viewpoint: (3,) device frame.
         plan: from `choose_plan`.
-        warm_start: of the last frame's ray map with this plan.
+        warm_start: warm start of the last frame's ray map with this plan.
     """
     axes = plan.device_from_camera
     solved = solve_pixels(mappings, axes, plan.node_pixel, viewpoint, warm_start)
@@ -238,16 +238,16 @@ _KNOWN_PER_TERM = 2
 
 
 class FilledRayMaps:
-    """Ray maps of one plan in bounded time: nodes without a ray are filled from the others.
+    """Ray maps of one plan in bounded time: nodes without a ray are filled from the other nodes.
 
-    A map is the exact one at the eye box's centre, solved once at every point, plus the interpolated change of the
-    nodes since then. The change is smooth: where a node has no ray, here or at the centre, a polynomial of degree 4 is
+    A map is the exact map at the eye box's centre, solved once at every point, plus the interpolated change of the
+    nodes from there. The change is smooth: where a node has no ray, here or at the centre, a polynomial of degree 4 is
     fitted to the other nodes' changes; with too few nodes the last map's change is used. Points without a ray at the
     centre have none in any map.
     """
 
     def __init__(self, mappings: Eye, plan: RayMapPlan) -> None:
-        """Query every point of the warp grid and every node; the plan is of the mappings' panel."""
+        """Query every point of the warp grid and every node; the plan must be for the mappings' panel."""
         self._mappings, self._plan = mappings, plan
         centre, axes = mappings.eye_box.centre, plan.device_from_camera
         self._base = solve_every_pixel(mappings, centre, axes, plan.warp_grid.panel_pixel())
@@ -268,7 +268,7 @@ class FilledRayMaps:
         return RayMap(viewpoint, plan.device_from_camera, slope_offset, status.astype(np.uint8))
 
     def _filled(self, change: FloatArray) -> FloatArray:
-        """Return changes (rows, columns, 4) at the nodes without NaN."""
+        """Return changes (rows, columns, 4) at the nodes with NaN filled in."""
         flat = change.reshape(-1, 4)
         known = np.asarray(np.isfinite(flat).all(axis=-1))
         if known.all():
@@ -280,13 +280,13 @@ class FilledRayMaps:
 
 
 def _spread(plan: RayMapPlan, at_nodes: FloatArray) -> Float32Array:
-    """(rows, columns, k) at the nodes -> (k, rows, columns) at the warp grid's points."""
+    """Interpolate values (rows, columns, k) at the nodes to (k, rows, columns) at the warp grid's points."""
     components = np.moveaxis(at_nodes, -1, 0).astype(np.float32)
     return np.asarray(np.matmul(plan.from_rows @ components, plan.from_columns))
 
 
 def _spread_status(plan: RayMapPlan, at_nodes: StatusArray) -> StatusArray:
-    """Return the status of each point, the worst of the nodes around it."""
+    """Return the status of each point, the worst status of the nodes around it."""
     columns, rows = plan.warp_grid.size
     if not at_nodes.any():
         return np.zeros((rows, columns), np.uint8)
@@ -299,12 +299,12 @@ def _spread_status(plan: RayMapPlan, at_nodes: StatusArray) -> StatusArray:
 
 
 def ray_map_error_px(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, pixel: FloatArray) -> FloatArray:
-    """Error of the interpolated ray map at some pixels against the exact solve there, in display pixels.
+    """Return the error of the interpolated ray map at some pixels, relative to the exact solve, in display pixels.
 
     Args:
         mappings: any display and see-through mappings.
         viewpoint: (3,) device frame.
-        plan: judged at this number of nodes.
+        plan: plan with the number of nodes to be judged.
         pixel: (n, 2) anywhere on the panel.
 
     Returns:
@@ -333,16 +333,16 @@ def ray_map_error_px(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, pix
 
 
 def _neighbour_px(panel: Panel) -> FloatArray:
-    """Distances (2,) in u and v to the place by which the size of a pixel is judged: less on a panel of one pixel."""
+    """Return the steps (2,) in u and v for measuring the size of a pixel: less than 1 on a panel of one pixel."""
     return np.minimum(1.0, 0.5 * panel.size_px)
 
 
 def choose_plan(mappings: Eye, tolerance_px: float = 0.005) -> RayMapPlan:
-    """Return the fewest nodes that keep the ray map within `tolerance_px` at the centre and corners of the eye box.
+    """Return the plan with the fewest nodes that keep the ray map within `tolerance_px` over the eye box.
 
-    Judged on 150 fixed pseudo-random pixels and the panel's corners, where polynomial interpolation errs most.
-    If no count reaches the tolerance the largest is taken: a map with kinks is not for interpolation, and
-    `ray_map_error_px` says how far off it is.
+    The error is judged at the centre and two corners of the eye box, at 150 fixed pseudo-random pixels and the panel's
+    corners, where polynomial interpolation is worst. If no count reaches the tolerance, the largest is used: a map with
+    kinks cannot be interpolated, and `ray_map_error_px` returns its error.
     """
     panel, box = mappings.display.panel, mappings.eye_box
     rng = np.random.default_rng(20250102)
@@ -359,9 +359,9 @@ def choose_plan(mappings: Eye, tolerance_px: float = 0.005) -> RayMapPlan:
 
 
 def _worst_px(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, pixel: FloatArray) -> float:
-    """Return the largest known error at pixels (n, 2); infinity where none is, because a node itself has no answer.
+    """Return the largest known error at pixels (n, 2); infinity if no error is known, because a node has no answer.
 
-    Extrapolated values count less: models bend at the border of their fit, which would cost many nodes.
+    Extrapolated values have less weight: models bend at the border of their fit, which would cost many nodes.
     """
     error_px = ray_map_error_px(mappings, viewpoint, plan, pixel)
     outside = solve_pixels(mappings, plan.device_from_camera, pixel, viewpoint).status == Status.OUTSIDE_FIT
@@ -371,7 +371,7 @@ def _worst_px(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, pixel: Flo
 
 
 def required_tangents(mappings: Eye, device_from_camera: FloatArray, viewpoint: FloatArray) -> FloatArray:
-    """View tangents (n, 2) of the rays' points at infinity and at the nearest depth, from one viewpoint.
+    """Return the view tangents (n, 2) of the rays' points at infinity and at the nearest depth, from one viewpoint.
 
     A raster camera must cover them. The pixels are a grid that reaches the panel's borders; NaN without a ray.
     """
@@ -384,9 +384,9 @@ def required_tangents(mappings: Eye, device_from_camera: FloatArray, viewpoint: 
 
 
 def middle_axes(mappings: Eye) -> FloatArray:
-    """Axes `device_from_camera` (3, 3) that look at the middle of the field of view from the eye box's centre.
+    """Return axes `device_from_camera` (3, 3) that look at the middle of the field of view from the eye box's centre.
 
-    Turned about the device's vertical, then nodded; never rolled. The device's own axes where the panel is not seen.
+    They are turned about the device's vertical, then nodded, never rolled; the device's axes if the panel is not seen.
     """
     panel = mappings.display.panel
     view = mappings.display.view_dir_of_pixel(panel.grid(9, 9).reshape(-1, 2), mappings.eye_box.centre)

@@ -13,7 +13,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import shown
 
 Encoding = Literal["srgb", "linear"]
-"""What numbers of a colour mean: sRGB codes, or linear light."""
+"""Meaning of a colour's numbers: sRGB codes, or linear light."""
 
 _CODE_BITS = 8, 10, 12, 16
 
@@ -25,12 +25,12 @@ class StoredColour:
     Attributes:
         encoding: "srgb" codes, or "linear" light, which is 1 where all primaries are at full power; larger and negative
             numbers are kept, and clipped on output. Numbers of float arrays and textures are codes over the largest
-            code, or light. A texture of an sRGB format holds sRGB codes; as "linear" light it is read as OpenGL decodes
-            it.
-        bits: of a code: 8, 10, 12 or 16. uint16 arrays need it, and RGB10_A2 textures that are given as ModernGL
-            textures: pictures of 8 bits are kept in 8 bits, others in half floats.
+            code, or light. A texture of an sRGB format holds sRGB codes; as "linear" light it is read as decoded by
+            OpenGL.
+        bits: bits of a code: 8, 10, 12 or 16, needed for uint16 arrays and for RGB10_A2 textures given as ModernGL
+            textures. Pictures of 8 bits are kept in 8 bits, others in half floats.
         alpha: whether the fourth component is the picture's alpha. Then colours are premultiplied, in linear light, and
-            composed frames have the filtered alpha, with 0 where nothing of the picture is seen.
+            composed frames have the filtered alpha, with 0 where the picture is not visible.
 
     Raises:
         BadInputError: another encoding or number of bits, or `alpha` is neither True nor False.
@@ -58,15 +58,15 @@ class DepthKind(Enum):
     METRES = auto()
     """Metres; 0, infinity or NaN for background, as in pyrender's arrays."""
     WINDOW = auto()
-    """A depth buffer's value in 0..1 of a perspective projection; the far plane's value means background."""
+    """Depth-buffer value in 0..1 of a perspective projection; the far plane's value means background."""
     INVERSE = auto()
     """1/m; 0, infinity or NaN for background."""
 
 
-_DEPTH_STEP = 2.0**-16  # of the coarsest depth format, which rounds the ends of a range
+_DEPTH_STEP = 2.0**-16  # step of the coarsest depth format, which rounds the ends of a range
 
 NEAREST_M = 1e-4
-"""Nearest depth that a picture may hold: no near plane lies nearer. The warp divides by depths in float32."""
+"""Nearest depth in a picture, and nearest near plane. The warp divides by depths in float32."""
 
 
 class Rows(Enum):
@@ -81,12 +81,12 @@ class StoredDepth:
     """Storage convention of a depth image.
 
     Attributes:
-        kind: of number.
+        kind: kind of the stored numbers.
         near_m, far_m: for WINDOW, the distances stored as `min_depth` and `max_depth`; `far_m` may be infinite. For a
-            reversed depth buffer they change places: (inf, 0.05) stores the near plane as 1.
+            reversed depth buffer they are exchanged: (inf, 0.05) stores the near plane as 1.
         min_depth, max_depth: for WINDOW, the range of glDepthRange or of a Vulkan or Direct3D viewport; with the
-            distances as in XrCompositionLayerDepthInfoKHR. What is stored outside the range is background, and within
-            a step of a 16-bit format of a far plane at neither 0 nor 1.
+            distances as in XrCompositionLayerDepthInfoKHR. Values outside the range are background, and so are values
+            within a step of a 16-bit format of a far plane that is neither 0 nor 1.
 
     Raises:
         BadInputError: WINDOW without two different distances of at least `NEAREST_M`, one of them finite, or a range
@@ -117,7 +117,7 @@ class StoredDepth:
 
     @cached_property
     def inverse_of_0_and_1(self) -> tuple[float, float]:
-        """1/m of the stored values 0 and 1, for WINDOW and INVERSE; extrapolated from a depth range."""
+        """Inverse depths (1/m) of stored values 0 and 1, for WINDOW and INVERSE; extrapolated from a depth range."""
         if self.kind is not DepthKind.WINDOW:
             return 0.0, 1.0
         slope = (1 / self.far_m - 1 / self.near_m) / (self.max_depth - self.min_depth)
@@ -125,14 +125,14 @@ class StoredDepth:
 
     @property
     def nothing(self) -> float:
-        """Stored number of background, in addition to NaN; for INVERSE also 0, the inverse depth of infinity."""
+        """Stored number for background, in addition to NaN; for INVERSE also 0, the inverse depth of infinity."""
         if self.kind is DepthKind.WINDOW:
             return self.min_depth if self.near_m > self.far_m else self.max_depth
         return 0.0 if self.kind is DepthKind.METRES else np.inf
 
     @property
     def _range_of_surfaces(self) -> tuple[float, float]:
-        """The depth range, a step more at its near end and less at its far end: a depth format may round both."""
+        """The depth range, shifted by a step towards near at both ends, which a depth format may round."""
         nearer = _DEPTH_STEP if self.near_m > self.far_m else -_DEPTH_STEP
         low = 0.0 if self.min_depth == 0 else max(0.0, self.min_depth + nearer)
         high = 1.0 if self.max_depth == 1 else min(1.0, self.max_depth + nearer)
@@ -173,10 +173,10 @@ def _are_numbers(*values: object) -> bool:
 
 
 def check_colour_array(colour: NDArray[Any], stored: StoredColour) -> None:
-    """Check that an array is (height, width, 3 or 4) of a type that `stored` can mean.
+    """Check that an array is (height, width, 3 or 4) of a type that `stored` allows.
 
     Raises:
-        BadInputError: shape or type is another, codes are larger than their bits allow, or a number is not finite.
+        BadInputError: wrong shape or type, codes larger than their bits allow, or a number that is not finite.
     """
     if str(colour.dtype) not in COLOUR_TYPES or colour.ndim != 3 or colour.shape[2] not in (3, 4):
         raise BadInputError(
@@ -202,14 +202,14 @@ def check_colour_array(colour: NDArray[Any], stored: StoredColour) -> None:
 
 
 COLOUR_TYPES = {"uint8": "f1", "uint16": "nu2", "float16": "f2", "float32": "f4"}
-"""Types of arrays of colours, and the textures that hold them."""
+"""Types of colour arrays, and formats of the textures that hold them."""
 
 
 def check_depth_format(stored: StoredDepth) -> None:
-    """Check the stated encoding of a depth image that has a depth format.
+    """Check the stated encoding of a depth image in a depth format.
 
     Raises:
-        BadInputError: metres, which are the default; such a format holds a depth buffer's values, from 0 to 1.
+        BadInputError: the encoding is metres, the default; such a format holds depth-buffer values from 0 to 1.
     """
     if stored.kind is DepthKind.METRES:
         raise BadInputError(
@@ -227,10 +227,10 @@ def check_arrays(
 ) -> None:
     """Check that arrays are a picture of a size (width, height): colour (height, width, 3 or 4), depth (height, width).
 
-    The depth of a picture that needs none is None.
+    The depth may be None if the picture needs no depth.
 
     Raises:
-        BadInputError: shape, type or size is another, or a depth is outside 0 to 1 for WINDOW, else outside
+        BadInputError: wrong shape, type or size, or a depth outside 0 to 1 for WINDOW, else outside
             `StoredDepth.limits`.
     """
     check_colour_array(colour, stored_colour)
@@ -245,7 +245,7 @@ def check_arrays(
     if depth is None:
         return
     low, high = (np.float32(0), np.float32(1)) if stored.kind is DepthKind.WINDOW else stored.limits
-    outside = depth < low  # NaN is not
+    outside = depth < low  # False for NaN
     if stored.kind is not DepthKind.METRES:
         outside |= depth > high
     outside &= depth != np.float32(stored.nothing)

@@ -22,11 +22,11 @@ class DrawnPicture:
     depth: Any
 
     def show(self, on: GlEye, handle: FrameHandle, history: FrameHistory, *storage: Any) -> None:
-        """Show the picture on its eye from now on; as an inset, over what the eye shows already.
+        """Show the picture on its eye from now on; as an inset, over the eye's present pictures.
 
         Args:
-            on: its eye.
-            handle: its frame.
+            on: the picture's eye.
+            handle: the picture's frame.
             history: the frames of the compositor.
             storage: `stored`, `rows` and `stored_colour` of `Compositor.submit`.
 
@@ -51,13 +51,13 @@ def pictures_of_eyes(
     """Return the pictures of `Compositor.submit`, the left eye's first.
 
     Args:
-        colour, depth, camera, eye: as `Compositor.submit`.
-        cameras: of the frame, by eye.
+        colour, depth, camera, eye: see `Compositor.submit`.
+        cameras: cameras of the frame, by eye.
         eyes: names of the compositor's eyes.
 
     Raises:
         BadInputError: an eye that is not named, or has no camera in the frame; a camera of another eye; or depths and
-            cameras that are not by eye where colours are.
+            cameras that are not given by eye as the colours are.
     """
     if not isinstance(colour, Mapping):
         named = camera.eye if eye is None and isinstance(camera, EyeCamera) else checked_eye(eye, eyes)

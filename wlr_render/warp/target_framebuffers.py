@@ -26,10 +26,10 @@ _FRACTIONS = "does not hold red, green and blue as fractions; give it an RGBA8 t
 
 
 class TargetFramebuffers:
-    """The caller's framebuffers and textures as targets; use it in drawing blocks."""
+    """The caller's framebuffers and textures as targets, for use in drawing blocks."""
 
     def __init__(self, context: gl.GlContext, window_kind: str) -> None:
-        """Prepare; a window gets its picture from a texture of a format of `GlContext.target`."""
+        """Prepare; a window's picture is drawn to a texture in a format of `GlContext.target`."""
         self._context, self._ask, self._window_kind = context, FramebufferQueries(context), window_kind
         self._targets: ImageCache[gl.Framebuffer] = ImageCache(self._ask)
         self._made = gl.RenderTargets(context)
@@ -39,7 +39,7 @@ class TargetFramebuffers:
         """Return the target of each eye's picture, upright as OpenGL shows it; see `Compositor.compose`.
 
         Raises:
-            BadInputError: an eye has no target, or a target is not a framebuffer or texture of this context or has
+            BadInputError: an eye has no target, or a target is not a framebuffer or texture of this context, or has
                 another size or kind.
         """
         if isinstance(into, Mapping):
@@ -60,7 +60,7 @@ class TargetFramebuffers:
         return {eye: WarpTarget(framebuffer, (x + k * width, y), size_px, False) for k, eye in enumerate(eyes)}
 
     def _of_size(self, into: Any, size_px: tuple[int, int]) -> gl.Framebuffer:
-        """Return a framebuffer of ours with the first colour image of a target; for number 0 one to be shown later."""
+        """Return a framebuffer of ours with the first colour image of a target; for number 0, one to be shown later."""
         given = into
         into = TextureLayer(into) if isinstance(into, gl.Texture | gl.TextureArray) else into
         owner = into.texture if isinstance(into, TextureLayer) else into
@@ -87,7 +87,7 @@ class TargetFramebuffers:
         )
 
     def _window(self, size_px: tuple[int, int]) -> gl.Framebuffer:
-        # The size of a window's picture is its toolkit's affair: OpenGL cannot be asked for it.
+        # The window toolkit determines the size of a window's picture: OpenGL has no query for it.
         if self._context.host_is_clean:
             with self._context.drawing() as ctx:
                 window: Any = ctx.screen
@@ -105,7 +105,7 @@ class TargetFramebuffers:
         return self._for_window.framebuffer
 
     def show(self, targets: Collection[WarpTarget]) -> None:
-        """Copy the picture of the window to it, in the window's own context: framebuffers are not shared."""
+        """Copy the picture for the window to the window, in the window's context: framebuffers are not shared."""
         drawn = self._for_window
         if drawn is None or all(each.framebuffer is not drawn.framebuffer for each in targets):
             return

@@ -1,4 +1,4 @@
-"""The camera pose and intrinsics that a picture is drawn with, its file, and the transform of rays to its frame."""
+"""The camera pose and intrinsics of a picture, their file, and the transform of rays to the camera's frame."""
 
 import functools
 import json
@@ -16,13 +16,13 @@ from wlr_render.numerics.arrays import read_only
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A pinhole camera in a headset in the world.
+    """A pinhole camera in a headset, with the headset's pose in the world.
 
     Attributes:
         camera: looks along the -z axis of its frame, at the position.
         position_in_device: (3,) metres; a raster camera is not at the pupil.
         world_from_device: (4, 4) head pose.
-        device_from_camera: (3, 3) rotation: how the camera is turned in the device.
+        device_from_camera: (3, 3) rotation of the camera in the device.
     """
 
     camera: Pinhole
@@ -48,16 +48,16 @@ def image_from_ray_map(
     device_from_camera: NDArray[np.float64],
     world_from_device: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Camera frame of a ray map -> camera frame of a picture, (..., 4, 4).
+    """Return the transform (..., 4, 4) from a ray map's camera frame to a picture's camera frame.
 
-    The picture may have been drawn from another place, or for an older head pose: a ray of the ray map, carried by this
-    transform, is the ray along which the picture must be read.
+    The picture may have been drawn from another position, or for an older head pose: the picture must be sampled along
+    a ray of the ray map after this transform.
 
     Args:
-        image_view: from where the picture was drawn.
+        image_view: view from which the picture was drawn.
         viewpoint_in_device: (3,) or (..., 3) metres.
         device_from_camera: (3, 3) axes of the ray map.
-        world_from_device: (4, 4) or (..., 4, 4) head poses, of a whole frame or of each row of the display.
+        world_from_device: (4, 4) or (..., 4, 4) head poses, for a whole frame or for each row of the display.
     """
     device_from_rays = transforms.rigid(device_from_camera, viewpoint_in_device)
     return np.asarray(transforms.inverse(image_view.world_from_camera) @ world_from_device @ device_from_rays)
@@ -69,7 +69,7 @@ class GeometryImage:
 
     Attributes:
         colour: (height, width, 3) uint8 sRGB.
-        inverse_depth: (height, width) float32, 1 / (distance along the view's -z axis) in 1/m; 0 where nothing is.
+        inverse_depth: (height, width) float32, 1 / (distance along the view's -z axis) in 1/m; 0 for background.
     """
 
     colour: NDArray[np.uint8]
