@@ -1,7 +1,7 @@
 """The backward warp of an intermediate image along rays: the algorithm that all backends implement, and its result.
 
-For each display pixel the ray map holds (a, b, c, d); `view.image_from_ray_map` takes it to the camera frame of the
-intermediate image. There the world ray passes through (c, d, 0) with tangents (a, b). A point of the ray at inverse
+For each display pixel the ray map holds (a, b, c, d); `view.image_from_ray_map` transforms it to the camera frame of
+the intermediate image. There the world ray passes through (c, d, 0) with tangents (a, b). A point of the ray at inverse
 depth w is projected to the image position
 
     s(w) = (f_u (a + c w) + c_u, -f_v (b + d w) + c_v),
@@ -11,11 +11,11 @@ surface where D(s(w)) = w. The algorithm:
 
 1. The path runs from the largest to the smallest inverse depth of the image along it. The bounds of all paths of a cell
    of the warp grid come from a pyramid of the smallest and largest values. Where they differ by less than DIRECT_PX in
-   the image for a whole cell, the source is s(D(s(w))) with w midway between them, and the following does not apply.
-2. The path is followed from its near end, texel by texel. A tile of TILE x TILE px is left at once if the ray is in
-   front of all that it shows, or behind one surface that fills it: no texel that the path crosses over more than a
-   thousandth of a pixel is left out where it could matter. Only the part of the path in the image and a margin around
-   it is followed: a point close to the lens may move the path's near end 100,000 px away.
+   the image for a whole cell, the source is s(D(s(w))) with w midway between them, without the following steps.
+2. The path is followed from its near end, texel by texel. A tile of TILE x TILE px is skipped if the ray is in front
+   of all its surfaces, or behind one surface that fills it: no texel that could matter, and that the path crosses over
+   more than a thousandth of a pixel, is left out. Only the part of the path in the image and a margin around it is
+   followed: a point close to the lens may move the path's near end 100,000 px away.
 3. The ray meets a texel's surface whose inverse depth lies between those at which it enters and leaves the texel. It
    also meets a surface between two texels if it was in front at the first and is behind at the second, and if both are
    of one surface: their inverse depths differ by at most SURFACE_STEP of the larger one, or open less than half a
@@ -25,7 +25,7 @@ surface where D(s(w)) = w. The algorithm:
    continues: the ray may leave the occluder and meet the surface behind.
 5. Without an intersection the ray ends behind the last depth edge that it crossed, in a region hidden from the image:
    DISOCCLUDED. The farther side of that edge is shown instead: s at the nearer of the edge's two inverse depths. Where
-   an older picture is at hand and sees what is hidden there, it is shown.
+   an older picture shows the hidden surface, it is shown.
 6. A position outside 0..width, 0..height is OUTSIDE; a NaN in the ray map, or a ray that does not lead forwards, is
    NO_RAY.
 
@@ -33,12 +33,12 @@ D is bilinear where its four texels differ by at most SURFACE_STEP of the larges
 depth is linear in the pixel), otherwise the nearest texel; beyond the border it repeats the border's texels. The
 background has w = 0 and is intersected at (a, b).
 
-Colour is bilinear in linear light, and encoded once in the end; hardware filters have 8-bit weights, which is worth a
-code of 255 at most. Where rays are followed, texels of another surface than the one that the ray meets take no part,
-unless they lie within half a pixel of it: an edge that has moved leaves no trace where it was. Where the map minifies,
-several such samples are averaged, spread evenly over the area that the display pixel covers in the image: along each
-axis as many as keep them SPACING_PX apart, at most `samples_per_axis`, for each cell of the warp grid. The sides of a
-display pixel in the image are differences of s(0) in blocks of 2 x 2 pixels, as on GPUs.
+Colour is bilinear in linear light, and encoded once in the end; hardware filters have 8-bit weights, an error of at
+most one code of 255. Where rays are followed, texels of a surface other than the one that the ray meets are ignored,
+unless they lie within half a pixel of it: an edge that has moved leaves no trace at its old position. Where the map
+minifies, several such samples are averaged, spread evenly over the area that the display pixel covers in the image:
+along each axis as many as a spacing of SPACING_PX requires, at most `samples_per_axis`, for each cell of the warp grid.
+The sides of a display pixel in the image are differences of s(0) in blocks of 2 x 2 pixels, as on GPUs.
 
 With one ray map per colour channel (red, green, blue) each channel follows its own rays; the status is the worst of the
 three (the largest), and the source is green's.
@@ -65,7 +65,7 @@ class WarpStatus(IntEnum):
     DISOCCLUDED = 1
     """The bent ray meets a surface that an edge hides from the intermediate image; the edge's farther side is shown."""
     OUTSIDE = 2
-    """The bent ray leads outside the intermediate image."""
+    """The bent ray points outside the intermediate image."""
     NO_RAY = 3
     """The display pixel has no ray into the world."""
 
@@ -78,7 +78,7 @@ class WarpedImage:
         colour: (height, width, 3) uint8 sRGB; the background where the status is OUTSIDE or NO_RAY.
         status: (height, width) uint8, one `WarpStatus` each.
         source: (height, width, 2) float32 pull map, position (u, v) in the intermediate image, NaN where the status is
-            OUTSIDE or NO_RAY; None when not asked for.
+            OUTSIDE or NO_RAY; None if not requested.
     """
 
     colour: NDArray[np.uint8]

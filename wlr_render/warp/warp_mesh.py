@@ -1,6 +1,6 @@
 """The warp of an eye as arrays, for renderers that a `Compositor` cannot serve: Vulkan, Direct3D, WebGPU, engines.
 
-The arrays go with the shaders of `shaders/own_warp.glsl`. Nothing here needs OpenGL.
+The arrays are for the shaders of `shaders/own_warp.glsl`. Nothing here needs OpenGL.
 """
 
 import typing
@@ -27,13 +27,14 @@ from wlr_render.warp.raster_camera import EyePlan, RasterPlace
 from wlr_render.warp.ray_map import FilledRayMaps
 from wlr_render.warp.view import image_from_ray_map
 
-_SEARCHED = 0.97  # share of the tolerance to reach: maps of frames differ a little from maps of the search
+_SEARCHED = 0.97  # share of the tolerance that is aimed at: maps of frames differ a little from maps of the search
 
 
 class WarpMesh:
     """One eye's panel as a triangle mesh whose vertices hold world rays.
 
-    Inside a triangle rays are linear; their error, which is measured here, is the mesh's only one.
+    Inside a triangle rays are linear; the error of this interpolation, which is measured here, is the mesh's only
+    error.
 
     Attributes:
         eye: "left" or "right".
@@ -60,14 +61,14 @@ class WarpMesh:
         Args:
             models: mappings of one eye, or three for red, green and blue.
             size: (width, height) in pixels of the display picture, which covers the panel.
-            resolution: as `Compositor`.
-            raster_camera: as `Compositor`.
-            late_margin_deg: as `Compositor`.
-            tolerance_arcmin: the mesh is the coarsest whose rays are this exact, 0.001 to 10; no finer than a picture's
-                pixels.
+            resolution: see `Compositor`.
+            raster_camera: see `Compositor`.
+            late_margin_deg: see `Compositor`.
+            tolerance_arcmin: largest error of rays, 0.001 to 10, for which the coarsest mesh is chosen; the mesh is no
+                finer than a picture's pixels.
 
         Raises:
-            BadInputError: models that do not fit together, two eyes, no size, or a number outside its range.
+            BadInputError: models that do not fit together, two eyes, an invalid size, or a number outside its range.
         """
         self._models = checked_models(models)
         if len(self._models) != 1:
@@ -107,16 +108,16 @@ class WarpMesh:
         return EyeCamera(self.eye, self._plan.view(at, checked_pose(pose)), at)
 
     def shading_rate(self, tile_px: tuple[int, int] = (16, 16)) -> NDArray[np.uint8]:
-        """Return how coarsely each tile of the picture may be shaded, (rows, columns): `EyePlan.shading_rate`."""
+        """Return the coarsest shading rate (rows, columns) of each tile of the picture, see `EyePlan.shading_rate`."""
         return self._plan.shading_rate(tile_px)
 
     def rays(self, viewpoint: FloatArray) -> Float32Array:
-        """World rays of the vertices at a viewpoint (3,): (colours, n, 4) float32.
+        """Return the world rays of the vertices at a viewpoint (3,): (colours, n, 4) float32.
 
         A ray is (a, b, c, d), as in `RayMap.slope_offset`: it passes through (c, d, 0) with tangents (a, b), in metres,
-        in axes at the viewpoint that `image_from_ray` knows. One colour, or red, green and blue. NaN where a vertex has
-        no ray: its triangles show the background. Takes milliseconds for some thousand vertices, and 60 to 80 ms for
-        100,000: `tolerance_arcmin` decides.
+        in axes at the viewpoint that `image_from_ray` transforms to the picture. One colour, or red, green and blue.
+        NaN where a vertex has no ray: its triangles show the background. Takes milliseconds for some thousand vertices,
+        and 60 to 80 ms for 100,000: their number depends on `tolerance_arcmin`.
 
         Raises:
             BadInputError: an invalid viewpoint, or one far outside the eye box.
@@ -126,15 +127,14 @@ class WarpMesh:
         return np.ascontiguousarray(np.moveaxis(np.stack(maps).reshape(len(maps), 4, -1), 1, 2))
 
     def image_from_ray(self, camera: EyeCamera, viewpoint: FloatArray, pose: FloatArray) -> Float32Array:
-        """(3, 4) float32 rows by which the shader projects rays into a picture.
+        """Return the matrix (3, 4) float32 with which the shader projects rays into a picture.
 
-        They take a point (x, y, z, 1) of the rays' axes to (u depth, v depth, depth) in the picture: pixels, v down
-        from the top row, and metres along the camera's -z axis. `project_ray` in `shaders/conventions.glsl` states
-        how a ray follows.
+        It maps a point (x, y, z, 1) in the rays' axes to (u depth, v depth, depth) in the picture: pixels, v down from
+        the top row, and metres along the camera's -z axis. For rays see `project_ray` in `shaders/conventions.glsl`.
 
         Args:
-            camera: that the picture was drawn with, of this frame or of an earlier one.
-            viewpoint: (3,) of `rays`.
+            camera: camera with which the picture was drawn, of this frame or of an earlier one.
+            viewpoint: (3,) viewpoint of `rays`.
             pose: (4, 4) newest world_from_device.
 
         Raises:
