@@ -1,1 +1,1 @@
-"""From captures to models; does not import the exact optics."""
+"""Fits of models to captures, without the exact optics."""

@@ -27,8 +27,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray
 
-_NAMED = 3  # excluded photographs that an error message names
-_CLEAR = 0.5  # least cosine of the angle between two column directions that count as the same direction: 60 degrees
+_NAMED = 3  # most excluded photographs that an error message names
+_CLEAR = 0.5  # least cosine between two column directions that count as the same: 60 degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +37,11 @@ class EyeCalibration:
 
     Attributes:
         session: the session of this eye.
-        captures: the captures that the models are fitted to.
-        kinds: the models, of one kind or of several that were compared.
-        excluded: photographs that contradict the others, and why.
-        primaries: where the panel was photographed in several colours, the models of the others, by colour: each is of
-            its display; see-through has no colour.
+        captures: the captures to which the models are fitted.
+        kinds: the models, of one kind or of several kinds for comparison.
+        excluded: photographs that contradict the others, with reasons.
+        primaries: display models of further colours, by colour, if the panel was photographed in several; see-through
+            has no colour.
     """
 
     session: PhotoSession
@@ -69,7 +69,7 @@ class SessionCalibration:
         session: the photographed session.
         reading: features and codes read from the photographs, and the photographs that could not be read.
         bench: cameras, board, target poses and stage in the device frame.
-        eyes: by name.
+        eyes: calibrations of the eyes, by name.
     """
 
     session: PhotoSession
@@ -84,17 +84,17 @@ class SessionCalibration:
 
     @property
     def all_excluded(self) -> list[Excluded]:
-        """Every photograph that the results were made without, the worst first."""
+        """All photographs excluded from the results, worst first."""
         of_eyes = (each for eye in self.eyes.values() for each in eye.excluded)
         return worst_first([*self.bench.rejected, *self.reading.excluded, *of_eyes])
 
 
 class RefusedCalibrationError(BadInputError):
-    """A session from which too little could be read, or whose steps contradict each other.
+    """Error for a session from which too little could be read, or in which steps contradict each other.
 
     Attributes:
         reading: see `SessionCalibration`; its `excluded` lists the exclusions that `found` does not contain.
-        found: the bench and the eyes that were finished; None where the bench could not be adjusted.
+        found: the bench and the finished eyes; None if the bench could not be adjusted.
     """
 
     reading: Reading = Reading()
@@ -102,7 +102,7 @@ class RefusedCalibrationError(BadInputError):
 
 
 def worst_first(excluded: Sequence[Excluded]) -> list[Excluded]:
-    """Sort by how far captures lie off, then faults of the session before photographs that failed."""
+    """Sort by prediction error, largest first, then faults of the session before photographs that failed."""
     return sorted(excluded, key=lambda each: (-each.off_arcmin, not each.fault))
 
 
@@ -114,8 +114,8 @@ def calibrate_session(
     Args:
         session: the photographed session.
         reading: features and codes read from the photographs.
-        folder: for station-EYE.json and captures-EYE.npz, which are written as soon as they are known.
-        fit: fits the models.
+        folder: folder for station-EYE.json and captures-EYE.npz, which are written as soon as they are known.
+        fit: function that fits the models.
 
     Raises:
         RefusedCalibrationError: too little could be read, or the steps contradict each other.
@@ -165,7 +165,7 @@ def _refusals(
 
 
 def _excluded_before(excluded: Sequence[Excluded]) -> str:
-    """Return a sentence that lists the exclusions, worst first: they are the likely cause of the error."""
+    """Return a sentence that lists the exclusions, worst first, because they are the likely cause of the error."""
     if not excluded:
         return ""
     reasons = [f"{each.name}: {each.reason}" for each in excluded[:_NAMED]]
@@ -180,7 +180,7 @@ def _fitted(
     excluded: tuple[Excluded, ...],
     fit: Callable[[Captures], KindComparison],
 ) -> EyeCalibration:
-    """Fit the models of one eye to green, white or the first colour, and to each other colour that was photographed."""
+    """Fit the models of one eye to green, white or the first colour, and to each other photographed colour."""
     main, primaries = captures.in_colour(), {}
     kinds = fit(main)
     if captures.display is not None and main.display is not None:
@@ -192,7 +192,7 @@ def _fitted(
 def with_half_turns(session: PhotoSession, reading: Reading) -> Reading:
     """Return the reading with the features of all photographs of a target pose numbered from the same end.
 
-    Photographs for a camera's lens need no such choice, because the pose of each is fitted separately.
+    Photographs for a camera's lens need no such choice, because each has a separate pose in the fit.
 
     Raises:
         BadInputError: a photograph shows the board rolled by 60 to 120 degrees from the others, or from the given pose.
@@ -221,7 +221,7 @@ def with_half_turns(session: PhotoSession, reading: Reading) -> Reading:
 
 
 def _photographs(session: PhotoSession) -> Iterator[tuple[BoardPhotograph, FloatArray]]:
-    """Photographs of targets, each with device_from_camera (3, 3) of a camera that looks ahead, or the tracking one."""
+    """Yield photographs of targets with device_from_camera (3, 3), of a camera facing ahead or the tracking camera."""
     for photo in chain(session.bare, session.beside, session.see_through):
         yield photo, transforms.OPENXR_FROM_OPENCV
     if session.device_from_tracking is not None:
@@ -230,9 +230,9 @@ def _photographs(session: PhotoSession) -> Iterator[tuple[BoardPhotograph, Float
 
 
 def _expected(session: PhotoSession, target: int, first: FloatArray) -> FloatArray:
-    """(2,) unit vector, device frame, along the board's columns at a target pose.
+    """Return the unit vector (2,), device frame, along the board's columns at a target pose.
 
-    Where the pose is not given, the target's rotation is free, and its first photograph defines the direction.
+    If the pose is not given, the target's rotation is free, and its first photograph defines the direction.
     """
     given = session.targets.get(target)
     if given is not None:
@@ -241,7 +241,7 @@ def _expected(session: PhotoSession, target: int, first: FloatArray) -> FloatArr
 
 
 def _columns_in_image(board: Board, seen: BoardObservation) -> FloatArray:
-    """(2,) direction in the image in which the columns' numbers grow."""
+    """Return the direction (2,) in the image along which column numbers increase."""
     place = board.point_of(seen.index)[:, :2]
     design = np.concatenate([place, np.ones((len(place), 1))], axis=1)
     return np.asarray(np.linalg.lstsq(design, seen.pixel, rcond=None)[0][0])

@@ -1,11 +1,11 @@
-"""A model of one eye from a wearer's few alignments of pixels with real points, in the manner of SPAAM.
+"""A model of one eye from a wearer's few alignments of pixels with real points, similar to SPAAM.
 
 At the wearer's eye e a pixel (u, v) covers the point P:
 
     (P_xy - e_xy) / (e_z - P_z) = a(u, v) + b + noise
 
-a, a polynomial of order 5, is the direction of the pixel, e is known to the eye box, and b is the constant error of the
-hand. SPAAM (Tuceryan, Genc and Navab, Presence 11, 2002, 259-276) has eleven numbers for a flat screen and an eye, and
+a, a polynomial of order 5, is the direction of the pixel, e is within the eye box, and b is the constant error of the
+hand. SPAAM (Tuceryan, Genc and Navab, Presence 11, 2002, 259-276) has eleven unknowns for a flat screen and an eye, and
 fewer than six alignments do not determine them. Here priors of ordinary headsets constrain the unknowns, and the
 covariance includes their uncertainty. Errors of successive alignments are correlated, because a head sways slowly.
 The fit averages over the size and correlation of these errors and the size of the distortion, weighted by evidence.
@@ -33,25 +33,25 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 LEAST, MOST = 6, 1000
-"""Number of alignments: six have as many numbers as SPAAM has unknowns."""
+"""Least and largest number of alignments; six give enough numbers for SPAAM's unknowns."""
 SOURCE = "alignments"
-"""Source of the errors of the model in an error budget."""
+"""Source of the model's errors in an error budget."""
 _ORDER = 5
 _MIDDLE, _SCALE, _SPREAD, _TURN = 0.2, 0.4, 0.25, 0.06
-"""Tangents: sigma of the middle of the panel, usual half field and its sigma, sigma of the terms that a roll adds."""
+"""Tangents: sigma of the panel's middle, usual half field and its sigma, and sigma of the terms due to roll."""
 _BENT = {order: 0.02 * 0.5 ** (order - 2) for order in range(2, _ORDER + 1)}
-"""Tangents at the panel's edge: sigma of the terms of an order, of keystone and distortion; each order has a half."""
-_BENT_FACTORS = (0.3, 1.0, 3.0, 6.0)  # factors on these sizes
-_HAND_ARCMIN, _HAND_LOG = 6.0, 0.7  # usual error of a wearer's alignment per axis, sigma of its logarithm
+"""Sigma of keystone and distortion terms by order, tangents at the panel's edge; it halves from order to order."""
+_BENT_FACTORS = (0.3, 1.0, 3.0, 6.0)  # factors on `_BENT` over which the fit averages
+_HAND_ARCMIN, _HAND_LOG = 6.0, 0.7  # usual error of a wearer's alignment per axis, and sigma of the logarithm
 _HANDS_ARCMIN = tuple(np.geomspace(1.0, 40.0, 9))
-_CONSTANT = 0.5  # constant error of the hand over its random one: no alignment shows it
-_ALIKE = (0.0, 0.4, 0.8)  # correlations of successive alignments
-_INVERSE_DEPTH, _INVERSE_DEPTH_SIGMA = 0.7, 0.4  # 1/m of the virtual image, which one place of the eye does not show
-_ROUNDS = 4  # linearisations about the eye's place
-_ON_A_LINE = 0.02  # spread of the pixels across their best line, over the panel's height
-_CONTRADICTION_ARCMIN = 90.0  # residual of no wearer: axes or frames are mixed up
-_SUSPECTS = 3  # alignments of the largest residuals, which are predicted from the others
-_OUTLIER = 4.0  # standard errors by which an alignment misses the prediction from the others
+_CONSTANT = 0.5  # ratio of the hand's constant error to its random error; alignments cannot show the constant error
+_ALIKE = (0.0, 0.4, 0.8)  # correlations of successive alignments over which the fit averages
+_INVERSE_DEPTH, _INVERSE_DEPTH_SIGMA = 0.7, 0.4  # distance of the virtual image, 1/m; one eye position does not show it
+_ROUNDS = 4  # linearisations about the eye's position
+_ON_A_LINE = 0.02  # least spread of pixels across their best-fit line, over the panel's height
+_CONTRADICTION_ARCMIN = 90.0  # residual beyond any wearer's, from axes or frames that are mixed up
+_SUSPECTS = 3  # number of alignments with the largest residuals that are tested against the others
+_OUTLIER = 4.0  # outlier threshold of a prediction from the other alignments, standard errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +60,12 @@ class AlignmentFit:
 
     Attributes:
         device: name of the headset.
-        mappings: the fitted eye; its eye box is about the place of the wearer's eye as found.
-        eye_m, eye_sigma_m: (3,) this place and its sigma, device frame; optics that shift the image of the world, as a
-            plate does, shift it.
-        hand_arcmin: random error of an alignment per axis, as found.
+        mappings: the fitted eye, with an eye box about the estimated position of the wearer's eye.
+        eye_m, eye_sigma_m: (3,) this position and its sigma, device frame; optics that shift the image of the world,
+            such as a plate, shift this position.
+        hand_arcmin: estimated random error of an alignment per axis.
         residual_arcmin: (n,) length of each alignment's residual.
-        doubtful: numbers of alignments, from 1, that the others do not predict.
+        doubtful: numbers, from 1, of alignments that the others do not predict.
     """
 
     device: str
@@ -84,12 +84,12 @@ class AlignmentFit:
 
     @property
     def see_through(self) -> FittedSeeThrough:
-        """Straight rays, with the uncertainty of the eye's place."""
+        """Straight rays, with the uncertainty of the eye's position."""
         see_through: Any = self.mappings.see_through
         return cast(FittedSeeThrough, see_through)
 
     def model(self) -> EyeModel:
-        """Return the model as `models.model_file.save_eye_models` takes it."""
+        """Return the model in the form for `models.model_file.save_eye_models`."""
         report = {
             "alignments": len(self.residual_arcmin),
             "hand_arcmin": self.hand_arcmin,
@@ -101,7 +101,7 @@ class AlignmentFit:
 
 @dataclass(frozen=True, eq=False)
 class _Posterior:
-    """Posterior of the unknowns: coefficients of a along x, then y, place of the eye, constant error; see `_prior`."""
+    """Posterior of the unknowns: coefficients of a for x, then y, eye position, constant error; see `_prior`."""
 
     mean: FloatArray
     covariance: FloatArray
@@ -161,7 +161,7 @@ def _straight(found: Alignments, eye: FloatArray) -> FloatArray:
 
 
 def _design(found: Alignments, terms: FloatArray, eye: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return values (2 n,), x of all before y, and their derivatives (2 n, unknowns), linear about an eye."""
+    """Return values (2 n,), all x before y, and their derivatives (2 n, unknowns), linearised about an eye position."""
     depth, straight = eye[2] - found.point[:, 2], _straight(found, eye)
     count, k = terms.shape
     design = np.zeros((2, count, 2 * k + 5))
@@ -175,11 +175,11 @@ def _design(found: Alignments, terms: FloatArray, eye: FloatArray) -> tuple[Floa
 
 
 def _prior(found: Alignments, orders: IntArray, bent: float, hand: float) -> tuple[FloatArray, FloatArray]:
-    """Return mean and sigma (unknowns,): of coefficients, the eye from the eye box's centre, and the hand's error."""
+    """Return mean and sigma (unknowns,) of coefficients, eye position from the eye box's centre, and hand's error."""
     total, k = orders.sum(axis=1), len(orders)
     mean, sigma = np.zeros((2, k)), np.zeros((2, k))
     sigma[:, total == 0] = _MIDDLE
-    for axis, sign in ((0, 1.0), (1, -1.0)):  # rows run down
+    for axis, sign in ((0, 1.0), (1, -1.0)):  # panel rows run downwards
         own = (total == 1) & (orders[:, axis] == 1)
         mean[axis, own], sigma[axis, own] = sign * _SCALE, _SPREAD
         sigma[axis, (total == 1) & ~own] = _TURN
@@ -191,7 +191,7 @@ def _prior(found: Alignments, orders: IntArray, bent: float, hand: float) -> tup
 
 
 def _noise(found: Alignments, alike: float) -> FloatArray:
-    """Return the correlation (n, n) of the errors of alignments along an axis, by their order or their times."""
+    """Return the correlation (n, n) of alignment errors along one axis, by order or times of the alignments."""
     place = np.arange(len(found.pixel), dtype=np.float64)
     if found.time_s is not None:
         place = found.time_s / np.median(np.diff(found.time_s))
@@ -200,7 +200,7 @@ def _noise(found: Alignments, alike: float) -> FloatArray:
 
 
 def _posterior(found: Alignments, terms: FloatArray, orders: IntArray, eye: FloatArray) -> _Posterior:
-    """Average over sizes of the hand's errors and the distortion, and correlations, by their evidence."""
+    """Return the average, weighted by evidence, over sizes of hand errors and distortion, and over correlations."""
     values, design = _design(found, terms, eye)
     fits = list(_fits(found, values, design, orders))
     weight = np.exp(np.array([each[0] for each in fits]) - max(each[0] for each in fits))
@@ -216,7 +216,7 @@ def _posterior(found: Alignments, terms: FloatArray, orders: IntArray, eye: Floa
 def _fits(
     found: Alignments, values: FloatArray, design: FloatArray, orders: IntArray
 ) -> Iterator[tuple[float, FloatArray, FloatArray, float]]:
-    """Yield the logarithm of the evidence, mean, covariance, and size of the hand's error of each choice."""
+    """Yield log evidence, mean, covariance, and size of the hand's error for each combination."""
     count = len(values) // 2
     for alike in _ALIKE:
         whiten = np.linalg.inv(np.linalg.cholesky(_noise(found, alike)))
@@ -239,10 +239,10 @@ def _fits(
 def _doubtful(
     found: Alignments, terms: FloatArray, orders: IntArray, eye: FloatArray, left: FloatArray
 ) -> tuple[int, ...]:
-    """Return the alignments that a fit to the others misses, from 1.
+    """Return the numbers, from 1, of alignments that a fit to the others does not predict.
 
     Among the few with the largest residuals (n,), the alignment that the others predict worst is left out before the
-    next is judged: while it stays in the fit, it biases the fit and makes good alignments look wrong.
+    next one is tested, because it biases the fit and makes good alignments look wrong.
     """
     doubtful: list[int] = []
     count = len(found.pixel)
@@ -266,9 +266,10 @@ def _doubtful(
 
 
 def _eye(found: Alignments, orders: IntArray, box: Box, posterior: _Posterior, eye: FloatArray) -> Eye:
-    """Return the eye: the display's directions at the wearer's eye, and straight rays from a place that is unsure.
+    """Return the display's directions at the wearer's eye, and straight rays from the eye's uncertain position.
 
-    Errors of both come from the same alignments: their variables are shared. One more is the image's distance.
+    Both share error variables, because their errors come from the same alignments; one more variable is the image's
+    distance.
     """
     k = len(orders)
     root = principal_root(posterior.covariance)
@@ -288,7 +289,7 @@ def _eye(found: Alignments, orders: IntArray, box: Box, posterior: _Posterior, e
         Polynomial(orders, box, point),
         Covariance(3, none, Polynomial(orders, box, joint.reshape(k, -1)), sources),
     )
-    # From a place that is off by d, a point at the depth Z lies (d_xy + t d_z) / Z off: the model's B.
+    # With an eye position off by d, a point at depth Z is off by (d_xy + t d_z) / Z, which is the model's B.
     everywhere, linear = Box(np.full(2, -10.0), np.full(2, 10.0)), total_degree(2, 1)
     deviation = np.zeros((3, 4, rank))
     constant = int(np.flatnonzero(linear.sum(axis=1) == 0)[0])

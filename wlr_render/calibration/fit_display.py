@@ -25,7 +25,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
 DISPLAY_LIMITS = (Limits(8, 5, 8), Limits(10, 5, 10), Limits(pixel=12, place=6, total=12))
-"""Of the first fit, and of all fits; the terms between them are used as far as they matter."""
+"""Limits of first fits, and of all fits; terms between them are used if they matter."""
 
 
 def _readings(captures: DisplayCaptures, place: ModelPlace, limits: Limits, trend: Trend | None) -> FitReadings:
@@ -34,7 +34,7 @@ def _readings(captures: DisplayCaptures, place: ModelPlace, limits: Limits, tren
     at_place = place.carry(captures.viewpoint, tangents)
 
     def respond(slope: FloatArray, turned: FloatArray, rows: slice) -> FloatArray:
-        """Return the change of t - f(pixel, place), which moves with the camera and the direction of carrying."""
+        """Return the change of t - f(pixel, place) with a shift of the camera and a change of the tangents."""
         by_place = slope[:, :, 2:]
         shifted = place.carry_by_point(tangents[rows])
         return np.concatenate([-by_place @ shifted, turned - by_place @ carried[rows] @ turned], axis=2)
@@ -62,9 +62,9 @@ def _readings(captures: DisplayCaptures, place: ModelPlace, limits: Limits, tren
 
 
 def _of_points(captures: DisplayCaptures, place: ModelPlace, limits: Limits, trend: Trend | None) -> FitReadings:
-    """Return readings of t = a - w q, linear in the unknown a and w.
+    """Return readings of t = a - w q, linear in the unknowns a and w.
 
-    q, where the measured ray meets the nominal plane, is known.
+    The intersection q of the measured ray with the nominal plane is known.
     """
     tangents, centre = captures.tangents, captures.eye_box.centre
     crossing = BasePlane(float(centre[2])).carry(captures.viewpoint, tangents) - centre[:2]

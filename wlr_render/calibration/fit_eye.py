@@ -34,9 +34,9 @@ from wlr_render.numerics.arrays import FloatArray
 KINDS_BY_PRESCRIPTION = ("prescription", "grey-box")
 """Kinds that need a prescription."""
 
-_SEE_THROUGH_KIND = {"point-per-pixel": "static"}  # a display-only model goes with a see-through that is as simple
-_COMPARED = ("prescription", "planar", "grey-box")  # the simpler ones first
-_WORTH = 2.0  # log10 odds from which a kind is taken before a simpler one
+_SEE_THROUGH_KIND = {"point-per-pixel": "static"}  # see-through kind for a display-only kind, equally simple
+_COMPARED = ("prescription", "planar", "grey-box")  # kinds from simple to complex
+_WORTH = 2.0  # log10 odds from which a kind is preferred to a simpler one
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Calibration:
         mappings: the fitted eye, for `render`, `world_rays`, `compare` and `ErrorMap`.
         device: name of the device.
         display, see_through: the fits; None for a side without captures.
-        log_evidence: natural logarithm of the probability density of all readings of both.
-        assembly: the prescription with the assembly errors that both models found; None without one.
+        log_evidence: natural logarithm of the probability density of all readings of both sides.
+        assembly: the prescription with the assembly errors estimated by both models; None without a prescription.
     """
 
     mappings: Eye
@@ -60,13 +60,13 @@ class Calibration:
 
     @property
     def sides(self) -> dict[str, ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]]:
-        """The fits that there are, by "display" and "see-through"."""
+        """The existing fits, by "display" and "see-through"."""
         both = {"display": self.display, "see-through": self.see_through}
         return {name: side for name, side in both.items() if side is not None}
 
     @property
     def both(self) -> tuple[ModelFit[FittedDisplay], ModelFit[FittedSeeThrough]]:
-        """Display and see-through; BadInputError where one is missing."""
+        """Display and see-through fits; BadInputError if one is missing."""
         if self.display is None or self.see_through is None:
             lacking = "display" if self.display is None else "see-through"
             raise BadInputError(f"the captures of {self.device} have no {lacking} part; add it.")
@@ -91,12 +91,12 @@ class Calibration:
         """Write a model file (.json), which `open_eye` reads; docs/files.md has the format.
 
         Raises:
-            BadInputError: a file that cannot be written.
+            BadInputError: the file cannot be written.
         """
         return save_eye_models(path, [self.model()])
 
     def model(self) -> EyeModel:
-        """Return the model as `models.model_file.save_eye_models` takes it."""
+        """Return the model in the form for `models.model_file.save_eye_models`."""
         report = {name.replace("-", "_"): asdict(side.report) for name, side in self.sides.items()}
         if self.assembly is not None:
             report["prescription"] = prescription_report(self.assembly, self.device, self.mappings.eye)
@@ -108,8 +108,8 @@ class KindComparison:
     """Fits of several kinds to the same readings with the same weights.
 
     Attributes:
-        fits: by kind.
-        best: the kind to use: the most probable one, or a simpler one that is about as probable.
+        fits: fits by kind.
+        best: kind to use: the most probable one, or a simpler one of about the same probability.
     """
 
     fits: Mapping[str, Calibration]
@@ -157,20 +157,20 @@ def calibrate(
     predicts its own error.
 
     Args:
-        captures: from `load_captures` or `simulate`: of the display, the world, or both.
+        captures: captures of the display, the world, or both, from `load_captures` or `simulate`.
         kind: type of model: "planar" (rays change with the pupil's place in a plane), "volumetric", "static" (one map
             for all pupil positions), or "point-per-pixel"; "grey-box" and "prescription" need a prescription, whose
             assembly errors are fitted.
         display_degree, see_through_degree: highest total degree; by default chosen from the captures.
-        base_plane: of planar models, device frame; None for the planes of `choose_base_plane`.
-        prescription: of the eye, device frame.
+        base_plane: base plane of planar models, device frame; None for the planes of `choose_base_plane`.
+        prescription: prescription of the eye, device frame.
 
     Returns:
         The fit; its attribute `mappings` is the fitted eye, and `save` writes the model file.
 
     Raises:
-        BadInputError: captures that do not determine the models, an unknown kind, or a prescription without both kinds
-            of captures.
+        BadInputError: the captures do not determine the models, or lack one side for a prescription; or the kind is
+            unknown.
 
     Example:
         >>> import wlr_render as wlr
@@ -188,8 +188,8 @@ def calibrate(
             captures.see_through, _SEE_THROUGH_KIND.get(kind, kind), see_through_degree, base_plane
         )
     if captures.display is not None:
-        # The see-through deviation varies little with the viewpoint: see-through captures separate camera motions from
-        # optics where display captures cannot.
+        # The see-through deviation varies little with the viewpoint, so that see-through captures separate camera
+        # motions from optics where display captures cannot.
         stage = None if seen is None else seen.smooth.stage
         shown = display_fit.fit_display(captures.display, kind, display_degree, base_plane, stage=stage)
     return _eye_fit(captures, shown, seen, sum(_log_evidence(each) for each in (shown, seen) if each is not None))
@@ -242,7 +242,7 @@ def eye_trends(captures: Captures, assembly: FittedAssembly, base_plane: BasePla
     """Compile the fitted prescription over the range of the captures' inputs.
 
     Raises:
-        BadInputError: captures of one side are missing, or hardly any ray passes the optics.
+        BadInputError: captures of one side are missing, or almost no ray passes the optics.
     """
     shown, seen = captures.both
     planes = (
@@ -266,15 +266,15 @@ def fit_with_trends(
 ) -> Calibration:
     """Fit a grey box or a prescription to both sides, then update each with the other's assembly posterior.
 
-    Both models then have the same posterior of the assembly errors. The log evidence of all readings is the sum
-    over the display fit before its update and the see-through fit after it.
+    Both models then have the same posterior of the assembly errors. The log evidence of all readings is the sum for the
+    display fit before its update and the see-through fit after its update.
 
     Args:
-        captures: of both.
+        captures: captures of both sides.
         kind: "grey-box" or "prescription".
         trends: see `eye_trends`.
         degrees: limits of the total orders of display and see-through.
-        weights: of the readings of both, see `smooth_search.fit`.
+        weights: weights of the readings of display and see-through; see `smooth_search.fit`.
 
     Raises:
         BadInputError: as `fit_display` and `fit_see_through`.

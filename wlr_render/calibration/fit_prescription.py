@@ -1,8 +1,8 @@
 """Fit a prescription's assembly errors to captures, and compile the fitted optics into the trend of a model.
 
 The only module of calibration that imports the optics. The prescription is a user input, the nominal design of the
-headset: the parts of the real device are displaced, and its surfaces differ. The model fit takes up the residuals of
-the fitted prescription.
+headset. In the real device, parts are displaced and surfaces differ; the model fit absorbs the residuals of the fitted
+prescription.
 """
 
 from collections.abc import Callable
@@ -30,21 +30,21 @@ from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import trace
 
 Prescription = EyeOptics
-"""The optics of one eye as drawn; other modules of calibration take it from here."""
+"""The optics of one eye as designed; other modules of calibration import the type from here."""
 _Residual = Callable[[EyeOptics], FloatArray]
 
-_READINGS = 2500  # readings of the display, and as many of see-through: far more than twelve numbers need
+_READINGS = 2500  # most readings of each side, far more than twelve unknowns need
 _ROUNDS = 6
-_SETTLED = 0.02  # relative change of the residuals' size that ends the rounds: it changes weights by 4 %
-_FLOOR_ARCMIN = 1e-3  # exact captures
-_LOST = 100.0  # residual, in their size, of a reading whose ray misses the optics: it no longer counts
-_MISSING_ALLOWED = 0.2  # share of readings without a ray: small errors of the assembly lose rays at edges only
+_SETTLED = 0.02  # relative change of the residuals' size that ends the rounds; it changes weights by 4 %
+_FLOOR_ARCMIN = 1e-3  # least size of residuals, for exact captures
+_LOST = 100.0  # residual of a reading without a ray, in sizes of the residuals; the robust loss ignores it
+_MISSING_ALLOWED = 0.2  # largest share of readings without a ray; small assembly errors lose rays only at edges
 IMPLAUSIBLE = 6.0
-"""Plausible sizes beyond which an assembly error is none: another headset, or a surface of another shape."""
+"""Largest assembly error in plausible sizes; a larger one means another headset, or a surface of another shape."""
 _EXPLAINED_ARCMIN, _EXPLAINED = 1.0, 2.0
-"""Residuals up to which a prescription is of this headset: a camera pixel of 1', or twice the stated sigma."""
-_EVALUATIONS = 40  # Jacobians in a round: a prescription of this headset needs about five
-_TANGENT_STEP = 1e-6  # step of differences: optics do not bend within it, and nine digits are left
+"""Largest residuals of a prescription of this headset: a camera pixel of 1', or twice the stated sigma."""
+_EVALUATIONS = 40  # most Jacobians in a round; a prescription of this headset needs about five
+_TANGENT_STEP = 1e-6  # step of finite differences, small enough for linear optics and large enough to keep nine digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +52,10 @@ class FittedAssembly:
     """A prescription with fitted assembly errors.
 
     Attributes:
-        prescription: without assembly errors.
-        values: (12,) its assembly errors, see `optics.assembly.ASSEMBLY_NAMES`.
-        covariance: (12, 12) of the values, if residuals were independent; a wrong shape makes them larger.
-        display_arcmin, see_through_arcmin: robust standard deviation of the residuals per axis, noise included; None
+        prescription: the prescription without assembly errors.
+        values: (12,) assembly errors, see `optics.assembly.ASSEMBLY_NAMES`.
+        covariance: (12, 12) covariance of `values` for independent residuals; too small for a wrong shape.
+        display_arcmin, see_through_arcmin: robust standard deviation of the residuals per axis, including noise; None
             without see-through captures.
     """
 
@@ -74,14 +74,14 @@ class FittedAssembly:
 def fit_assembly(captures: Captures, optics: EyeOptics) -> FittedAssembly:
     """Fit the twelve assembly errors of a prescription, in green light, to display and see-through captures together.
 
-    Nonlinear least squares, robust in the angles; each error has a Gaussian prior of its plausible size. The residual
-    size is estimated separately for display and see-through; it includes model errors of the prescription.
+    The method is nonlinear least squares, robust in the angles, with a Gaussian prior of plausible size for each error.
+    The residual size is estimated separately for display and see-through and includes the prescription's model errors.
 
-    A wrong shape can look like large assembly errors, which then serve the models but mean nothing themselves.
+    A wrong shape can look like large assembly errors, which then help the models but have no physical meaning.
 
     Raises:
-        BadInputError: many readings have no ray through the prescription, or it explains the readings badly and only
-            with an assembly error that is implausibly large.
+        BadInputError: many readings have no ray through the prescription, or the prescription explains the readings
+            badly and needs an implausibly large assembly error.
     """
     parts: list[_Residual] = []
     if captures.display is not None:
@@ -116,7 +116,7 @@ def fit_assembly(captures: Captures, optics: EyeOptics) -> FittedAssembly:
 
 
 def _loss(square: FloatArray) -> FloatArray:
-    """Soft-L1 of squares (n,) with first and second derivatives, (3, n); of the prior at their end, the squares."""
+    """Return soft-L1 of squares (n,) with two derivatives, (3, n); the prior's squares, at the end, stay squares."""
     root = np.sqrt(1.0 + square)
     found = np.stack([2.0 * (root - 1.0), 1.0 / root, -0.5 / root**3])
     prior = square[-len(ASSEMBLY_NAMES) :]
@@ -133,10 +133,10 @@ def display_trend(assembly: FittedAssembly, plane: BasePlane, box: Box) -> Trend
     Args:
         assembly: the fit.
         plane: the base plane of the model.
-        box: of its inputs.
+        box: box of the model's inputs.
 
     Raises:
-        BadInputError: hardly any ray of the box passes the optics.
+        BadInputError: almost no ray of the box passes the optics.
     """
     return _trend(assembly, compile_display(assembly.prescription, assembly.values, plane, box))
 
@@ -150,7 +150,7 @@ def see_through_trend(assembly: FittedAssembly, plane: BasePlane, box: Box) -> T
 
 
 def with_posterior(assembly: FittedAssembly, mean: FloatArray, covariance: FloatArray) -> FittedAssembly:
-    """Assembly errors that a fit of models found: mean (12,) and covariance (12, 12) of the trends' parameters."""
+    """Return the assembly errors from a fit of models: mean (12,) and covariance (12, 12) of the trends' parameters."""
     scaled = covariance * np.outer(ASSEMBLY_SIZES, ASSEMBLY_SIZES)
     return replace(assembly, values=ASSEMBLY_SIZES * mean, covariance=scaled)
 
@@ -174,9 +174,9 @@ def _trend(assembly: FittedAssembly, compiled: CompiledMap) -> Trend:
 
 
 def _display_residual(captures: DisplayCaptures, optics: EyeOptics) -> _Residual:
-    """Return a function (optics) -> angles (2 n,) in radians from the measured pixels to the traced pixels.
+    """Return a function (optics) -> angles (2 n,) in radians from measured to traced pixels; NaN where no ray passes.
 
-    NaN where no ray passes. The prescription `optics` converts pixels to angles.
+    The prescription `optics` converts pixels to angles.
     """
     steps = _TANGENT_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])[:, None]
     directions = dir_of_tangents(captures.tangents + steps)
@@ -193,14 +193,14 @@ def _display_residual(captures: DisplayCaptures, optics: EyeOptics) -> _Residual
 
 
 def _see_through_residual(captures: SeeThroughCaptures, optics: EyeOptics) -> FloatArray:
-    """Return angles (2 n,) in radians, seen from the viewpoint, by which world rays miss points; NaN without ray."""
+    """Return the angles (2 n,), radians at the viewpoint, by which world rays miss points; NaN without a ray."""
     seen = trace(optics.see_through, captures.viewpoint, captures.view_dir, GREEN_UM)
     past = BasePlane(0.0).carry(seen.origin - captures.point, tangents_of_dir(seen.direction))
     return _angles(past / (captures.viewpoint[:, 2:] - captures.point[:, 2:]), captures.tangents)
 
 
 def _angles(change: FloatArray, tangents: FloatArray) -> FloatArray:
-    """Return changes (n, 2) of tangents (n, 2) as angles (2 n,), of the right size on average over all directions."""
+    """Convert changes (n, 2) of tangents (n, 2) to angles (2 n,), with the right size on average over directions."""
     return np.asarray(change * (1.0 + np.sum(tangents**2, axis=1, keepdims=True)) ** -0.75).reshape(-1)
 
 
@@ -211,7 +211,7 @@ def _thinned(captures: AnyCaptures) -> AnyCaptures:
 
 
 def _robust_size(residual: FloatArray) -> float:
-    """1.48 times the median absolute residual, radians."""
+    """Return the robust standard deviation, 1.48 times the median absolute residual, radians."""
     known = np.abs(residual[np.isfinite(residual)])
     return float(max(1.48 * np.median(known) if len(known) else 0.0, _FLOOR_ARCMIN * ARCMIN))
 
@@ -226,7 +226,7 @@ def _check_reached(residual: FloatArray, device: str) -> None:
 
 
 def _stated_sigma(captures: Captures) -> float:
-    """Return the stated sigma of the readings, arcminutes: the larger median of both parts; 0 for exact data."""
+    """Return the stated sigma of the readings, arcminutes: the larger median of the two parts; 0 for exact data."""
     parts = (part for part in (captures.display, captures.see_through) if part is not None)
     return max(float(np.median(part.sigma_arcmin)) for part in parts)
 

@@ -1,4 +1,4 @@
-"""A fitted model and its report: noise and stage as found, predicted error, and what further positions would bring."""
+"""A fitted model and its report: estimated noise and stage, predicted error, and benefit of further positions."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -23,13 +23,13 @@ from wlr_render.models.registration import UNSHARED
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 AnyModel = TypeVar("AnyModel", FittedDisplay, FittedSeeThrough)
-_BANDS = 5  # bands of camera positions along x and y that are left out in turn
-_TESTED = 2_000  # pairs of viewpoint and pixel or point at which the predicted error is averaged
+_BANDS = 5  # most bands of camera positions along x and along y that are left out in turn
+_TESTED = 2_000  # number of pairs of viewpoint and pixel or point over which the predicted error is averaged
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Sizes of residual vectors, in the unit that the attribute holding this names."""
+    """Lengths of residual vectors, in the unit of the attribute that has this value."""
 
     rms: float
     p95: float
@@ -37,10 +37,10 @@ class Residuals:
 
     @classmethod
     def of(cls, size: FloatArray) -> "Residuals":
-        """Summarise residual lengths (n,); NaN elements do not count.
+        """Summarise residual lengths (n,), ignoring NaN.
 
         Raises:
-            BadInputError: none has a value.
+            BadInputError: all lengths are NaN.
         """
         known = size[np.isfinite(size)]
         if known.size == 0:
@@ -50,12 +50,12 @@ class Residuals:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Camera positions that were left out and predicted by a fit to the others.
+    """Camera positions that were left out and predicted by a fit to the other positions.
 
     Attributes:
         left_out: name of the positions, e.g. "row 2 of 5".
         captures: number of captures left out.
-        rms_arcmin: rms prediction error. expected_arcmin: rms that the fit expects, noise and motions included.
+        rms_arcmin: rms prediction error. expected_arcmin: rms error that the fit expects, including noise and motions.
     """
 
     left_out: str
@@ -70,7 +70,7 @@ class OneMore:
 
     Attributes:
         positions: description, e.g. "a row of 5 camera positions at y = +4 mm".
-        predicted_arcmin: rms error of the model with them, as `FitReport.predicted_arcmin`.
+        predicted_arcmin: rms error of the model with these positions, as `FitReport.predicted_arcmin`.
     """
 
     positions: str
@@ -84,9 +84,9 @@ class ErrorShare:
     Attributes:
         source: e.g. "printing errors of the board".
         arcmin: rms contribution, over the same rays as `FitReport.predicted_arcmin`; squares of all sources add up.
-        size, usual: rms size of the source's own errors as the fit found it, and the usual one; None where a fit finds
-            none, as of errors that the bench states.
-        unit: of both, "m" or "arcmin"; empty without them.
+        size, usual: estimated rms size of the source's own errors, and the usual size; None for sources without an
+            estimate, e.g. errors stated by the bench.
+        unit: unit of both sizes, "m" or "arcmin"; empty without sizes.
     """
 
     source: str
@@ -98,28 +98,29 @@ class ErrorShare:
 
 @dataclass(frozen=True)
 class FitReport:
-    """Quality of a model, on the captures that it was fitted to and beyond.
+    """Quality of a model, for its own captures and beyond.
 
     Attributes:
         kind: "planar", "volumetric", "static", "point-per-pixel", "grey-box" or "prescription".
         orders: limits of the orders, e.g. "pixel 8, place 5".
-        coefficients: number of them, parameters of a prescription included.
-        determined: how many of them the captures determine.
-        viewpoints: number of camera positions. samples: of measured directions.
-        unsolved: samples at which the fitted model has no answer. outliers: samples of weight zero.
-        residual_arcmin: of the view directions, predicted from pixel (or real point) and viewpoint by the whole model.
-        residual_px: of the pixels, predicted from view direction and viewpoint; None for see-through.
-        contraction: of the model's solve over the eye box; below 1 the solve has one solution (`models.contraction`).
-        noise_arcmin: found, per axis. stated_noise_arcmin: median of the captures' sigma; None for exact data.
+        coefficients: number of coefficients, including parameters of a prescription.
+        determined: effective number of coefficients that the captures determine.
+        viewpoints: number of camera positions. samples: number of measured directions.
+        unsolved: number of samples without an answer of the model. outliers: number of samples of weight zero.
+        residual_arcmin: residuals of view directions, predicted from pixel (or real point) and viewpoint.
+        residual_px: residuals of pixels, predicted from view direction and viewpoint; None for see-through.
+        contraction: contraction of the model's solve over the eye box; below 1, the solution is unique
+            (`models.contraction`).
+        noise_arcmin: estimated noise per axis. stated_noise_arcmin: median sigma of the captures; None for exact data.
         repeatability_um, wobble_urad: estimated standard deviations, rms per axis, of the camera's shift and rotation
             from capture to capture.
-        moved: captures that stood elsewhere than stated, by far more than the others.
-        log_evidence: natural logarithm; of models of the same captures, the one with the largest is most probable.
-        predicted_arcmin: rms error that the fit expects of itself over the eye box, labels that stand out included.
+        moved: captures whose camera positions differ from the stated ones by far more than the others'.
+        log_evidence: natural logarithm of the evidence, the largest for the most probable model of the same captures.
+        predicted_arcmin: rms error that the fit expects over the eye box, including errors of significant labels.
         held_out: rows and columns of camera positions predicted from the others.
-        one_more: None where the kind has no places.
-        motion_agreement: comparison with the camera motions that the captures state; None where they state none.
-        labels: errors that the readings of a dot, visit, time and so on share beyond the fit; empty for exact data.
+        one_more: the most useful further row or column; None for kinds that do not depend on the place.
+        motion_agreement: comparison with the camera motions stated by the captures; None without stated motions.
+        labels: errors shared by readings of a dot, visit, time and so on, beyond the fit; empty for exact data.
         shares: contributions to `predicted_arcmin`, the largest first.
         unseen: errors that `predicted_arcmin` omits, because the captures lack the data to estimate them.
     """
@@ -151,7 +152,7 @@ class FitReport:
 
     @property
     def held_out_arcmin(self) -> tuple[float, float] | None:
-        """Rms error over all held-out rows and columns, and the expected rms; None where nothing was held out."""
+        """Rms error over all held-out rows and columns, and the expected rms; None if nothing was held out."""
         if not self.held_out:
             return None
         captures = np.array([each.captures for each in self.held_out], dtype=np.float64)
@@ -169,9 +170,9 @@ class ModelFit(Generic[AnyModel]):
     Attributes:
         kind: see `FitReport`.
         mapping: the model, with its covariance.
-        captures: the captures that it was fitted to.
-        smooth: the fit of its polynomial.
-        readings_of: (captures) -> readings, with which it was made.
+        captures: the fitted captures.
+        smooth: the fit of the model's polynomial.
+        readings_of: function (captures) -> readings of the fit.
         orders: limits of the orders in words.
         contraction, labels: see `FitReport`.
     """
@@ -187,7 +188,7 @@ class ModelFit(Generic[AnyModel]):
 
     @cached_property
     def report(self) -> FitReport:
-        """The report; held-out positions and the row to add cost about as much as the fit."""
+        """Report of the fit; held-out positions and the row to add take about as long as the fit."""
         smooth, captures = self.smooth, self.captures
         seen = self.seen(captures)
         residual_px, usable = None, seen.usable
@@ -235,7 +236,7 @@ class ModelFit(Generic[AnyModel]):
         return label_response(self.smooth.readings, self.smooth.posterior).sources + self._by_label[1].sources
 
     def with_label_errors(self, before: tuple[str, ...] = (), after: tuple[str, ...] = ()) -> Self:
-        """Return the fit whose covariance has the errors that the readings of a label share, see `label_errors`.
+        """Return the fit with errors by label (`label_errors`) in the covariance.
 
         Args:
             before, after: error sources of the eye's other model, without effect on this one; their variables come
@@ -250,7 +251,7 @@ class ModelFit(Generic[AnyModel]):
         return float(np.sqrt(np.nanmean(model.sigma(*self.tested(model)) ** 2)))
 
     def tested(self, model: AnyModel) -> tuple[FloatArray, FloatArray]:
-        """Return pixels (n, 2) or points (n, 3) of captures at random, and viewpoints (n, 3) of the eye box."""
+        """Return random pixels (n, 2) or points (n, 3) of the captures, and random viewpoints (n, 3) in the eye box."""
         rng = np.random.default_rng(0)
         rows = rng.integers(0, len(self.captures), _TESTED)
         return self.subject(self.captures)[rows], model.eye_box.at(rng.uniform(-1.0, 1.0, (_TESTED, 3)))
@@ -278,7 +279,7 @@ class ModelFit(Generic[AnyModel]):
         return captures.pixel if isinstance(captures, DisplayCaptures) else captures.point
 
     def seen(self, captures: DisplayCaptures | SeeThroughCaptures) -> QueryResult:
-        """View directions that the model predicts for captures of the kind that it was fitted to."""
+        """Return the view directions that the model predicts for captures of the fitted kind."""
         return self.mapping.view_dir(self.subject(captures), captures.viewpoint)
 
     @property
@@ -286,7 +287,7 @@ class ModelFit(Generic[AnyModel]):
         return bool(self.smooth.readings.is_place.any()) and len(np.unique(self.captures.capture)) > 1
 
     def left_out(self, name: str, out: BoolArray) -> HeldOut:
-        """Error of a fit without some of the captures, (n,) bool, at the hyperparameters of all."""
+        """Return the error of a fit without the captures in mask `out` (n,), at the hyperparameters of all captures."""
         rms, expected = self.smooth.left_out(out)
         return HeldOut(name, len(np.unique(self.captures.capture[out])), rms, expected)
 
@@ -304,7 +305,7 @@ class ModelFit(Generic[AnyModel]):
         return found
 
     def _one_more(self) -> OneMore | None:
-        """Return the row or column, each placed where the model is least certain, that reduces the error more."""
+        """Return the row or column, placed where the model is least certain, that reduces the error more."""
         if not self._has_places:
             return None
         _, first = np.unique(self.captures.capture, return_index=True)
@@ -329,33 +330,33 @@ class ModelFit(Generic[AnyModel]):
         return min(tried, key=lambda each: each.predicted_arcmin)
 
     def with_positions(self, viewpoint: FloatArray) -> AnyModel:
-        """Return the model with the covariance that further camera positions (m, 3) would give."""
+        """Return the model with the covariance expected with further camera positions (m, 3)."""
         return self.mapping.with_spread(self.smooth.spread_with(self.readings_of(self._with_positions(viewpoint))))
 
     def with_design(self, captures: DisplayCaptures | SeeThroughCaptures, hyper: Mapping[str, float]) -> AnyModel:
-        """Return the model with the covariance that a fit to other captures of the same headset would have.
+        """Return the model with the covariance expected from a fit to other captures of the same headset.
 
         Args:
-            captures: of another design.
+            captures: captures of another design.
             hyper: see `SmoothFit.spread_from`.
         """
         return self.mapping.with_spread(self.smooth.spread_from(self.readings_of(captures), hyper))
 
     def with_camera_motions(self, curve: Callable[[FloatArray], FloatArray]) -> AnyModel:
-        """Return the model that these captures would give if each camera had moved.
+        """Return the model that these captures would give if the camera had moved in each.
 
         Args:
-            curve: (positions (m, 3)) -> (m, 6) rotation (rad) and displacement (m) of the camera there.
+            curve: (positions (m, 3)) -> (m, 6) rotation (rad) and displacement (m) of the camera at each position.
         """
         _, first = np.unique(self.smooth.readings.capture, return_index=True)
         motion = curve(self.captures.viewpoint[first])
-        model: Any = self.mapping  # a dataclass, as every model is
+        model: Any = self.mapping  # a dataclass, like every model
         changed: AnyModel = replace(model, **{model.MODELLED: self.smooth.with_motions(np.roll(motion, 3, axis=1))})
         return changed
 
     def _with_positions(self, viewpoint: FloatArray) -> DisplayCaptures | SeeThroughCaptures:
-        """Return the captures plus new ones at viewpoints (m, 3), each with the pixels or points of the nearest one."""
-        captures: Any = self.captures  # captures of either kind, which they keep
+        """Return captures with new ones at viewpoints (m, 3), each with pixels or points of the nearest capture."""
+        captures: Any = self.captures  # captures of either kind; the result has the same kind
         names, first = np.unique(captures.capture, return_index=True)
         apart = np.linalg.norm(captures.viewpoint[first] - viewpoint[:, None], axis=2)
         seeing = [np.flatnonzero(captures.capture == name) for name in names[np.argmin(apart, axis=1)]]
@@ -371,7 +372,7 @@ class ModelFit(Generic[AnyModel]):
 
 
 def bands(coordinate: FloatArray, capture: IntArray) -> IntArray:
-    """Return the number (n,) of each row's band along a coordinate (n,); bands have about equally many captures."""
+    """Return the band number (n,) of each row along a coordinate (n,); bands have about equal numbers of captures."""
     _, first, position = np.unique(capture, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(coordinate[first], kind="stable"), kind="stable")
     count = min(_BANDS, max(2, round(len(first) ** 0.5)))

@@ -26,7 +26,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
 SEE_THROUGH_LIMITS = (Limits(6, 4, 6), Limits(8, 5, 8), Limits(pixel=12, place=6, total=12))
-"""Likewise, of direction and place: deviations are smoother than the display's distortion."""
+"""Limits of first fits and of all fits, for direction and place; deviations are smoother than display distortion."""
 
 
 def _on_plane(captures: SeeThroughCaptures, place: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
@@ -37,7 +37,7 @@ def _on_plane(captures: SeeThroughCaptures, place: BasePlane, limits: Limits, tr
     carried = place.carry_by_tangents(depth_to_plane, tangents)
 
     def respond(slope: FloatArray, turned: FloatArray, rows: slice) -> FloatArray:
-        """(P - p~) / Z - t less the deviation at (p~, t): both p~ and t move with the camera."""
+        """Return the change of (P - p~) / Z - t minus the deviation at (p~, t), as p~ and t move with the camera."""
         by_shift = place.carry_by_point(tangents[rows])
         by_place = -np.eye(2) / depth[rows, :, None] - slope[:, :, :2]
         by_tangents = -np.eye(2) - slope[:, :, 2:]
@@ -63,7 +63,7 @@ def _in_volume(captures: SeeThroughCaptures, place: OwnPlace, limits: Limits, tr
 
 
 def _by_point(straight: FloatArray) -> FloatArray:
-    """Return the derivative (n, 2, 3) of tangents (n, 2) of a straight line by its far end, times the depth of that."""
+    """Return the derivative (n, 2, 3) of tangents (n, 2) of a line by its far end, times the far end's depth."""
     return np.concatenate([np.tile(np.eye(2), (len(straight), 1, 1)), straight[:, :, None]], axis=2)
 
 
@@ -78,12 +78,12 @@ def _readings(
 ) -> FitReadings:
     """Return readings of straight (n, 2) - tangents = A(place, tangents) + B(place, tangents) / depth.
 
-    `straight` has the tangents of the straight line from the place to the point.
+    `straight` is the tangents of the straight line from place to point.
     """
     places = place.shape[1]
 
     def by_point(rows: slice) -> FloatArray:
-        """Return the derivative of (P - p~) / Z - t by the point; the change of B / Z with depth is of second order."""
+        """Return the derivative of (P - p~) / Z - t by the point; B / Z changes with depth only to second order."""
         return _by_point(straight[rows]) / depth[rows, :, None]
 
     visits, capture = captures.visits
