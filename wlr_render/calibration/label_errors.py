@@ -1,14 +1,15 @@
-"""Errors by label: errors that readings of one dot, visit or time share, beyond the fit and its noise.
+"""Errors by label: errors shared by readings of one dot, visit or time, beyond the fit and its noise.
 
-A fit predicts its own error from the noise and the errors that it models. Means of its residuals by every label of the
+A fit predicts its own error from the noise and the errors that it models. Means of the residuals by every label of the
 captures are a check that can fail. The errors of a label's groups are modelled as a normal random function of one size
-s, independent or with a correlation C that falls with the distance of two groups, over one of a few lengths.
-With the covariance K of the readings y, all unknowns of the fit integrated over, and the columns Z of the label,
+s, independent or with a correlation C that decreases with the distance between groups, over one of a few lengths.
+With the covariance K of the readings y, marginalised over all unknowns of the fit, and the columns Z of the label,
 u = Z' K^-1 y has the covariance A = Z' K^-1 Z if the label has no errors, and the evidence for such errors is
 
     log p(y | s, C) - log p(y | 0) = (u' (C^-1 / s^2 + A)^-1 u - log |I + s^2 C A|) / 2
 
-Averaged over s and C it is the odds of the label. They exceed 100 in less than one of 100 sessions without such errors.
+Its average over s and C gives the odds of the label, which exceed 100 in less than one of 100 sessions without such
+errors.
 """
 
 from collections.abc import Iterator
@@ -28,8 +29,8 @@ from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptu
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 STANDS_OUT, MATTERS = 2.0, 0.3
-"""Log10 odds from which the captures have the errors of a label, and their least effect on the model, over the error
-that its fit expects, from which a report names them: 4 % more error."""
+"""Least log10 odds of a significant label, and least effect of its errors on the model, relative to the error that the
+fit expects, for a report to name them: 4 % more error."""
 SOURCES_BY_LABEL = {
     "dot and pose": (
         "shape of the board at each pose",
@@ -48,17 +49,17 @@ SOURCES_BY_LABEL = {
         "Check the camera's lens and the decoding; else the optics are less smooth than the model.",
     ),
 }
-"""Source of the errors of a label, by the start of its name, and what avoids them."""
+"""Source of a label's errors and their remedy, by the start of the label's name."""
 REMEDIES = {"shape of the board": "Flatten the board, or measure its shape."} | dict(SOURCES_BY_LABEL.values())
-"""What avoids the errors of a source, a sentence."""
-_SIZES = np.geomspace(0.01, 10.0, 31)  # sizes of errors per axis in units of the noise
-_USUAL, _DECADES = 0.1, 0.6  # usual size, and one sigma of its logarithm: larger errors show in single readings
-_LENGTHS = (0.1, 0.3)  # over which the correlation falls, in extents of the label's places
-_DETERMINED = 0.2  # least share of a contrast's information that the fit leaves, over the largest such share
-_CELLS, _DOTS, _DOTS_OF_POSE = 16, 16, 8  # along an axis of the image and of a board
-_TIMES = 24  # bins of time
-_FAR = 100.0  # distance, in extents, at which errors are independent
-_SAMPLES = 200  # readings at which the effect on the model is averaged
+"""Sentence that states the remedy for errors of a source."""
+_SIZES = np.geomspace(0.01, 10.0, 31)  # tested sizes of errors per axis, in units of the noise
+_USUAL, _DECADES = 0.1, 0.6  # usual size, and sigma of its decimal logarithm; larger errors show in single readings
+_LENGTHS = (0.1, 0.3)  # correlation lengths, in extents of the label's places
+_DETERMINED = 0.2  # least share of a contrast's information that the fit leaves, relative to the largest share
+_CELLS, _DOTS, _DOTS_OF_POSE = 16, 16, 8  # numbers of bins along an axis of the image and of a board
+_TIMES = 24  # number of bins of time
+_FAR = 100.0  # distance at which errors are independent, in extents
+_SAMPLES = 200  # number of readings over which the effect on the model is averaged
 
 
 @dataclass(frozen=True)
@@ -67,12 +68,13 @@ class LabelError:
 
     Attributes:
         label: e.g. "dot" or "time".
-        groups: number of them.
-        ratio: mean square of the groups' weighted residual means over the one that fit and noise explain.
-        log10_odds: for such errors, given the errors of labels with larger odds; corrected for the number of labels.
-        size_arcmin: most probable rms length of the errors; 0 where they are not more probable than none.
-        in_model_arcmin: rms error of the model at the readings that errors of this size cause.
-        own_arcmin: rms error of the model at the readings that the fit expects without them and without common errors.
+        groups: number of groups.
+        ratio: mean square of the groups' weighted residual means, relative to the value expected from fit and noise.
+        log10_odds: log10 odds for such errors, given the errors of labels with larger odds; corrected for the number of
+            labels.
+        size_arcmin: most probable rms length of the errors; 0 if errors are not more probable than none.
+        in_model_arcmin: rms error of the model at the readings, due to errors of this size.
+        own_arcmin: rms error of the model at the readings that the fit expects without such errors and common errors.
     """
 
     label: str
@@ -85,22 +87,22 @@ class LabelError:
 
     @property
     def stands_out(self) -> bool:
-        """True if the captures have such errors."""
+        """True if the errors are significant."""
         return self.log10_odds > STANDS_OUT
 
     @property
     def matters(self) -> bool:
-        """True if the captures have such errors and they increase the model's error noticeably."""
+        """True if the errors are significant and increase the model's error noticeably."""
         return self.stands_out and self.in_model_arcmin > MATTERS * self.own_arcmin
 
     @property
     def source(self) -> str:
-        """Source of these errors, as an error budget names it."""
+        """Source of these errors in an error budget."""
         return self._said[0]
 
     @property
     def remedy(self) -> str:
-        """Sentence that tells the user how to avoid these errors."""
+        """Sentence on how to avoid these errors."""
         return self._said[1]
 
     @property
@@ -110,11 +112,12 @@ class LabelError:
 
 @dataclass(frozen=True)
 class _Label:
-    """One label.
+    """Groups of readings of one label.
 
     Attributes:
-        group: (n,) of each reading, -1 for none. columns: (n, 2, k) changes by the errors of its group.
-        place: (n, d) of each reading, in extents: errors of near groups may correlate; None for independent errors.
+        group: (n,) group of each reading, -1 for none. columns: (n, 2, k) change by the errors of the reading's group.
+        place: (n, d) place of each reading, in extents, if errors of near groups may correlate; None for independent
+            errors.
     """
 
     name: str
@@ -131,7 +134,7 @@ class _Label:
         return self.groups * int(self.columns.shape[2])
 
     def design(self, axis: int) -> "scipy.sparse.csr_array":
-        """Columns (n, groups * k) of one axis of the readings."""
+        """Return the columns (n, groups * k) of one axis of the readings."""
         labelled, k = np.flatnonzero(self.group >= 0), self.columns.shape[2]
         column = (self.group[labelled, None] * k + np.arange(k)).ravel()
         values = self.columns[labelled, axis].ravel(), (np.repeat(labelled, k), column)
@@ -140,7 +143,7 @@ class _Label:
         return design
 
     def correlations(self) -> Iterator[FloatArray]:
-        """Yield the correlation (width, width) of the errors for each length: Matern's of order 3/2."""
+        """Yield correlations (width, width) of the errors: the identity, then Matern 3/2 for each length."""
         yield np.eye(self.width)
         if self.place is not None:
             labelled = self.group >= 0
@@ -152,13 +155,13 @@ class _Label:
 
 @dataclass(frozen=True)
 class _Statistics:
-    """Statistics of the readings on the errors of all labels.
+    """Statistics of the readings about the errors of all labels.
 
     Attributes:
         score: u (k,). information: A (k, k).
-        plain: (k, k) information if all unknowns of the fit were known.
-        follow, of_side: how the fit follows these errors: changes (2, columns, k) of an output's coefficients, and
-            (side, k) of the unknowns of both outputs.
+        plain: (k, k) information for known unknowns of the fit.
+        follow, of_side: response of the fit to these errors: change (2, columns, k) of an output's coefficients, and
+            change (side, k) of the unknowns common to both outputs.
     """
 
     score: FloatArray
@@ -168,7 +171,7 @@ class _Statistics:
     of_side: FloatArray
 
     def absorbed(self, part: slice, root: FloatArray) -> "_Statistics":
-        """Return the statistics of a fit that also has one label's errors as unknowns, of covariance root root'."""
+        """Return the statistics of a fit with one label's errors as further unknowns, of covariance root root'."""
         by_error = self.information[:, part] @ root
         gain = np.linalg.solve(np.eye(root.shape[1]) + root.T @ by_error[part], by_error.T).T
         score = self.score - gain @ (root.T @ self.score[part])
@@ -180,15 +183,15 @@ def label_errors(
 ) -> tuple[tuple[LabelError, ...], Response]:
     """Return the errors of all labels of a fit's captures, and the fit's response to the significant ones.
 
-    Significant errors come first, each tested with the ones before it in the model; the others are tested with all of
-    these in the model. Exact data have none.
+    Significant errors come first, each tested with the previous ones in the model; the others are tested with all
+    significant errors in the model. Exact data have no errors.
     """
     readings, parameters = smooth.readings, smooth.readings.parameters
     response = Response((), np.zeros((0, 2, readings.coefficients)), np.zeros((0, parameters)))
     labels = list(_labels(smooth, captures)) if np.any(readings.sigma > 0) else []
     if not labels:
         return (), response
-    common = np.zeros((len(readings), 2, 0))  # errors of the bench that the captures state
+    common = np.zeros((len(readings), 2, 0))  # errors of the bench stated by the captures
     if readings.common is not None:
         common = readings.common.columns(readings.slopes(smooth.polynomial))
     groups = [_Label("common", np.zeros(len(readings), np.int64), common), *labels]
@@ -223,14 +226,14 @@ def label_errors(
 
 
 def _labels(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -> Iterator[_Label]:
-    """All labels with two groups or more."""
+    """Yield all labels with two groups or more."""
     readings = smooth.readings
     angle = np.eye(2) / readings.metric[:, None, None]
     tried = []
     if isinstance(captures, DisplayCaptures):
         tried.append(_Label("cell of the panel", _cells(captures.pixel, _CELLS), angle, _extents(captures.pixel)))
     else:
-        away = captures.point - captures.viewpoint  # directions as stated: cells by the readings would sort their noise
+        away = captures.point - captures.viewpoint  # stated, because cells of measured directions would sort noise
         seen = away[:, :2] / away[:, 2:]
         tried.append(_Label("cell of the field", _cells(seen, _CELLS), angle, _extents(seen)))
         tried += _of_dots(captures, angle / away[:, 2, None, None], angle)
@@ -250,7 +253,7 @@ def _labels(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -
 
 
 def _of_dots(captures: SeeThroughCaptures, shifted: FloatArray, turned: FloatArray) -> Iterator[_Label]:
-    """Labels of the target, from the columns of a shift of a dot, of any size, and of a turn of its line of sight."""
+    """Yield labels of the target, from columns of a dot's shift, of any size, and of its line of sight's rotation."""
     dot, pose = captures.target_point[:, :2], np.unique(captures.target_pose, return_inverse=True)[1]
     size, place = np.sqrt(np.mean(shifted**2) / np.mean(turned**2)), _extents(dot)
     yield _Label("dot", _cells(dot, _DOTS), shifted / size, place)
@@ -261,18 +264,18 @@ def _of_dots(captures: SeeThroughCaptures, shifted: FloatArray, turned: FloatArr
 
 
 def _extents(place: FloatArray) -> FloatArray:
-    """Return places (n, d) in units of their largest extent; unknown ones are NaN."""
+    """Return places (n, d) in units of their largest extent; unknown places are NaN."""
     known = place[np.isfinite(place).all(axis=1)]
     return np.asarray(place / max(float(np.ptp(known, axis=0).max()), 1e-300)) if len(known) else place
 
 
 def _numbered(group: IntArray) -> IntArray:
-    """Return groups (n,) numbered without gaps; -1 stays."""
+    """Return groups (n,) renumbered without gaps; -1 stays."""
     return np.asarray(np.where(group < 0, -1, np.searchsorted(np.unique(group[group >= 0]), group)))
 
 
 def _bins(value: FloatArray, count: int) -> IntArray:
-    """Group (n,) of each value among bins of equal width; -1 where it is unknown."""
+    """Return the bin (n,) of each value among bins of equal width; -1 for unknown values."""
     finite = np.isfinite(value)
     if not finite.any() or np.ptp(value[finite]) <= 0:
         return np.where(finite, 0, -1)
@@ -281,13 +284,13 @@ def _bins(value: FloatArray, count: int) -> IntArray:
 
 
 def _cells(place: FloatArray, count: int) -> IntArray:
-    """Cell (n,) of places (n, 2), -1 where unknown; each dot of a coarse board has a separate cell."""
+    """Return the cell (n,) of each place (n, 2), -1 if unknown; each dot of a coarse board has a separate cell."""
     columns, rows = (_bins(axis, count) for axis in place.T)
     return _numbered(np.where((columns < 0) | (rows < 0), -1, columns + count * rows))
 
 
 def _statistics(smooth: SmoothFit, labels: list[_Label]) -> _Statistics:
-    """Return u, A and how the fit follows the errors of all labels."""
+    """Return u, A and the response of the fit to the errors of all labels."""
     readings, posterior, residual = smooth.readings, smooth.posterior, smooth.residual
     designs = [scipy.sparse.hstack([each.design(axis) for each in labels], format="csr") for axis in (0, 1)]
     width = designs[0].shape[1]
@@ -308,7 +311,7 @@ def _statistics(smooth: SmoothFit, labels: list[_Label]) -> _Statistics:
                 by_axis[axis][:, used] += (columns.T @ own).T
     square = smooth.noise**2
     score, plain, by_axis, by_side = (each / square for each in (score, plain, by_axis, by_side))
-    follow = posterior.alone @ by_axis  # change of the coefficients, if the side unknowns were known
+    follow = posterior.alone @ by_axis  # change of the coefficients for known side unknowns
     information = plain
     if not readings.mixed:
         information = plain - sum(each.T @ moved for each, moved in zip(by_axis, follow, strict=True))
@@ -320,7 +323,7 @@ def _statistics(smooth: SmoothFit, labels: list[_Label]) -> _Statistics:
 
 
 def _times(inverse: FloatArray | list[FloatArray], values: Any) -> Any:
-    """Return the inverse covariance of the readings' noise, its diagonal or its blocks, times values (r, k)."""
+    """Return the inverse noise covariance of readings, given as diagonal or blocks, times values (r, k)."""
     if isinstance(inverse, np.ndarray):
         return scipy.sparse.diags_array(inverse) @ values
     product, last = np.empty(values.shape), 0
@@ -331,7 +334,7 @@ def _times(inverse: FloatArray | list[FloatArray], values: Any) -> Any:
 
 
 def _effect(smooth: SmoothFit, found: _Statistics) -> FloatArray:
-    """Return the change (r, 2, k) of the model at some readings, arcminutes, by the errors of all labels."""
+    """Return the change (r, 2, k) of the model at some readings, arcminutes, due to the errors of all labels."""
     readings, parameters, own = smooth.readings, smooth.readings.parameters, smooth.readings.coefficients
     rows = _sample(smooth)
     change = readings.shared_columns(rows)[:, :, :parameters] @ found.of_side[:parameters]
@@ -348,8 +351,8 @@ def _judged(label: _Label, part: slice, found: _Statistics, noise: float) -> tup
     """Return the evidence for the errors of a label.
 
     Returns:
-        The mean square of u over its expectation without errors, log10 odds for errors, their most probable size per
-        axis in arcminutes, 0 where they are not more probable than none, and their most probable correlation.
+        The mean square of u relative to its expectation without errors; log10 odds for errors; their most probable size
+        per axis in arcminutes, 0 if errors are not more probable than none; and their most probable correlation.
     """
     lower = lower_root(found.plain[part, part], 1e-9)
     left = scipy.linalg.solve_triangular(lower, found.information[part, part], lower=True)
@@ -357,7 +360,7 @@ def _judged(label: _Label, part: slice, found: _Statistics, noise: float) -> tup
     determined = values >= max(_DETERMINED * float(values[-1]), 1e-9)
     vectors, values = vectors[:, determined], values[determined]
     score = vectors.T @ scipy.linalg.solve_triangular(lower, found.score[part], lower=True)
-    scaled = np.sqrt(values)[:, None] * (vectors.T @ lower.T)  # map of the errors to contrasts with a variance of 1
+    scaled = np.sqrt(values)[:, None] * (vectors.T @ lower.T)  # map from errors to contrasts of unit variance
     square, likely = (noise * _SIZES) ** 2, -0.5 * (np.log10(_SIZES / _USUAL) / _DECADES) ** 2
     odds, correlations = [], list(label.correlations())
     for each in correlations:

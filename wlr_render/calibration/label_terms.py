@@ -1,8 +1,8 @@
-"""Errors by label as unknowns of a fit: of dots, of time, of the readings of a stage's axes and of its travel.
+"""Errors by label as unknowns of a fit: by dot, by time, by the readings of a stage's axes and by its travel.
 
 Readings of one label share an error. The size of each kind of error is a hyperparameter. Where the readings do not
-determine it, it stays at the usual size, and the model carries the error: a raster shows neither a drift nor a screw.
-The axes of the stage are assumed parallel to the axes of the device frame.
+determine it, it stays at the usual size, and the error is in the model's covariance: a raster scan shows neither drift
+nor screw errors. The axes of the stage are assumed parallel to the axes of the device frame.
 """
 
 from collections.abc import Iterator
@@ -24,19 +24,19 @@ from wlr_render.usual import (
 )
 
 USUAL_FALL, FALLS_DIFFER = 0.3, 0.3
-"""Fall of the logarithm of a wave's size with its frequency, per radian in `_UNIT_M`, and its sigma."""
+"""Decrease of a wave's log size with its frequency, per radian in `_UNIT_M`, and the sigma of this decrease."""
 _UNIT_M = 0.1  # a hand's width
-_FINEST_M, _FINEST_HEIGHT_M = 0.095, 0.19  # half of the shortest wave: printers err over the width of a hand
+_FINEST_M, _FINEST_HEIGHT_M = 0.095, 0.19  # half the shortest wave; printing errors extend over about a hand's width
 _ALONG = 0.25  # largest ratio of cross-axis to along-axis response for which the outputs have separate print errors
-_MOST_WAVES = 12  # largest number of waves along an axis
-_BEYOND = 1.15  # extent of the board over the extent of its dots
-_TIMES = 4  # orders of a drift in time; each is as much smaller as it is higher
-_TURN, _ZOOM = 1.0, 0.3  # sizes of a drift that is the same all over the field, and of one that grows along an axis
-_MEAN = 0.5  # size of a drift's mean over its first order's size: the camera's pose was measured at another time
-_SAME_READING_M = 1e-4  # readings of a stage's axis nearer than this are one
+_MOST_WAVES = 12  # most waves along an axis
+_BEYOND = 1.15  # ratio of the board's extent to the extent of its dots
+_TIMES = 4  # number of orders of a drift in time; sizes are inversely proportional to the order
+_TURN, _ZOOM = 1.0, 0.3  # relative sizes of a uniform drift over the field, and of a linear one
+_MEAN = 0.5  # ratio of a drift's mean to its first order; the camera's pose was measured at another time
+_SAME_READING_M = 1e-4  # resolution at which readings of a stage's axis are the same
 _MOST_READINGS = 32  # most distinct readings of an axis; more are binned
-_SMOOTH_ORDER = 3  # highest order in the place of errors that may be optics
-_ROUGH_SHARE = 0.4  # least share of the errors by reading that vary faster: these determine the size
+_SMOOTH_ORDER = 3  # highest order, in the place, of errors that optics could cause
+_ROUGH_SHARE = 0.4  # least share of errors by reading that vary faster; they determine the size
 
 
 @dataclass(frozen=True)
@@ -44,14 +44,14 @@ class LabelTerm:
     """Unknown errors of one kind of label: columns times unknowns.
 
     Attributes:
-        name: of their size among the hyperparameters.
-        source: as an error budget names it.
+        name: name of the errors' size among the hyperparameters.
+        source: source of the errors in an error budget.
         columns: change of `observed` by each unknown: (n, k) if each axis has separate unknowns, (n, 2, k) if both axes
-            share them.
+            share the unknowns.
         offset: (k,) logarithm of the prior size of each unknown, for a size of one.
-        usual: the size that is expected before the readings.
-        frequency: (k,) of each unknown, by which its prior size falls; None for none.
-        mean: size of an error that is the same in all readings, for a size of one; no reading tells it.
+        usual: size expected without readings.
+        frequency: (k,) frequency of each unknown, with which the prior size decreases; None for constant sizes.
+        mean: size of an error that is equal in all readings, for a size of one; readings cannot show it.
     """
 
     name: str
@@ -63,7 +63,7 @@ class LabelTerm:
     mean: float = 0.0
 
     def select(self, rows: BoolArray | IntArray) -> "LabelTerm":
-        """Return the term of some of the readings."""
+        """Return the term for some of the readings."""
         return replace(self, columns=self.columns[rows])
 
 
@@ -72,9 +72,9 @@ class StageLabels:
     """Labels whose errors are shifts of the camera along an axis of the stage.
 
     Attributes:
-        group: (3, n) group of each reading of the camera by the reading of each axis of the stage.
-        reading: (groups,) of each axis, metres, of the axes x, y and z.
-        travel: (n,) direction of travel along x, +1 or -1; 0 where it is unknown.
+        group: (3, n) group of each camera reading, by the reading of each stage axis.
+        reading: reading (groups,) of each group, metres, for axes x, y and z.
+        travel: (n,) direction of travel along x, +1 or -1; 0 if unknown.
     """
 
     group: IntArray
@@ -82,11 +82,11 @@ class StageLabels:
     travel: FloatArray
 
     def select(self, rows: BoolArray | IntArray) -> "StageLabels":
-        """Return the labels of some of the readings."""
+        """Return the labels for some of the readings."""
         return replace(self, group=self.group[:, rows], travel=self.travel[rows])
 
     def terms(self, shift: FloatArray) -> Iterator[LabelTerm]:
-        """Yield the terms that the labels have, from the change (n, 2, 3) of `observed` by a shift of the camera."""
+        """Yield the terms of the labels, from the change (n, 2, 3) of `observed` by a shift of the camera."""
         columns = []
         for axis in self.axes:
             group = self.group[axis]
@@ -102,14 +102,14 @@ class StageLabels:
 
     @property
     def axes(self) -> list[int]:
-        """The axes that move."""
+        """Axes of the stage that move."""
         return [axis for axis, reading in enumerate(self.reading) if len(reading) > 1]
 
     def rough(self) -> FloatArray:
-        """Return combinations (errors by reading, k) of the unknowns of "axes" that vary roughly along each axis.
+        """Return combinations (errors by reading, k) of the unknowns of "axes" that vary rapidly along each axis.
 
-        Errors that vary smoothly are another way to write how the optics change with the place; they say nothing of the
-        stage.
+        Errors that vary smoothly are degenerate with the change of the optics with the place, and show nothing about
+        the stage.
         """
         blocks = []
         for axis in self.axes:
@@ -120,7 +120,7 @@ class StageLabels:
 
 
 def stage_labels(captures: DisplayCaptures | SeeThroughCaptures) -> StageLabels:
-    """Return the labels of the stage that captures have."""
+    """Return the labels of the stage for captures."""
     groups = np.stack([reading_groups(captures.viewpoint[:, axis]) for axis in range(3)])
     places = zip(groups, captures.viewpoint.T, strict=True)
     reading = tuple(means_by(group, along[:, None])[:, 0] for group, along in places)
@@ -128,7 +128,7 @@ def stage_labels(captures: DisplayCaptures | SeeThroughCaptures) -> StageLabels:
 
 
 def unseen_errors(captures: DisplayCaptures | SeeThroughCaptures) -> tuple[str, ...]:
-    """Return the errors that a fit cannot model because the captures lack the data in brackets."""
+    """Return the errors that a fit cannot model, with the missing data of the captures in brackets."""
     lacking = {
         "drift (times)": not np.isfinite(captures.time_s).all(),
         "direction of travel (travel)": not np.isfinite(captures.travel).any(),
@@ -142,7 +142,7 @@ def unseen_errors(captures: DisplayCaptures | SeeThroughCaptures) -> tuple[str, 
 
 
 def reading_groups(reading: FloatArray) -> IntArray:
-    """Return the group (n,) of each reading of a stage's axis: itself where the axis takes few, else its bin."""
+    """Return the group (n,) of each reading of a stage axis: one for each distinct reading, or for bins of many."""
     group = np.unique(np.round(reading / _SAME_READING_M), return_inverse=True)[1].reshape(-1)
     if group.max() < _MOST_READINGS:
         return np.asarray(group)
@@ -151,13 +151,13 @@ def reading_groups(reading: FloatArray) -> IntArray:
 
 
 def drift_term(time_s: FloatArray, image: FloatArray, metric: FloatArray) -> LabelTerm | None:
-    """Return a drift of the image, smooth in time: a turn of the camera and a linear change over the field.
+    """Return a drift of the image, smooth in time: a rotation of the camera and a linear change over the field.
 
-    All readings share its mean, the camera's turn since its pose was measured.
+    All readings share the mean, which is the camera's rotation since its pose was measured.
 
     Args:
-        time_s: (n,); NaN where unknown.
-        image: (n, 2) places in the image.
+        time_s: (n,) times; NaN where unknown.
+        image: (n, 2) positions in the image.
         metric: (n,) arcminutes per unit of `observed`.
     """
     if not np.isfinite(time_s).all() or len(np.unique(time_s)) <= _TIMES:
@@ -173,17 +173,17 @@ def drift_term(time_s: FloatArray, image: FloatArray, metric: FloatArray) -> Lab
 
 
 def means_by(group: IntArray, values: FloatArray) -> FloatArray:
-    """Return means (groups, k) of values (n, k) by group (n,); 0 of an empty group."""
+    """Return means (groups, k) of values (n, k) by group (n,); 0 for an empty group."""
     sums = np.stack([np.bincount(group, column) for column in values.T], axis=-1)
     return np.asarray(sums / np.maximum(np.bincount(group), 1)[:, None])
 
 
 def smooth_basis(place: FloatArray, share: float) -> FloatArray:
-    """Return functions (n, k) of places (n, variables) that are as smooth as optics, of as high an order as is allowed.
+    """Return functions (n, k) of places (n, variables) as smooth as optics, up to the highest order allowed.
 
     Args:
-        place: of visits, or readings of an axis.
-        share: how many functions are allowed, over the number of places.
+        place: places of visits, or readings of an axis.
+        share: largest number of functions relative to the number of places.
     """
     orders = (total_degree(place.shape[1], order) for order in range(_SMOOTH_ORDER, 0, -1))
     allowed = (each for each in orders if len(each) <= share * len(place))
@@ -193,13 +193,13 @@ def smooth_basis(place: FloatArray, share: float) -> FloatArray:
 def board_terms(
     dot: FloatArray, point: FloatArray, pose: IntArray, by_point: FloatArray, is_pose_fitted: bool
 ) -> list[LabelTerm]:
-    """Return printing errors in the plane of a board and heights over its best-fit plane, the same at all poses.
+    """Return printing errors in the plane of a board, and heights over its best-fit plane, equal at all poses.
 
     Args:
-        dot: (n, 2) places on the board, metres; NaN where unknown.
-        point: (n, 3) the same in the device frame. pose: (n,) number of the board's pose.
-        by_point: (n, 2, 3) change of `observed` by the place of the point.
-        is_pose_fitted: whether the poses and the scale of the board were fitted to its dots, which leaves no linear
+        dot: (n, 2) positions on the board, metres; NaN where unknown.
+        point: (n, 3) these positions in the device frame. pose: (n,) number of the board's pose.
+        by_point: (n, 2, 3) change of `observed` by the position of the point.
+        is_pose_fitted: True if the poses and the scale of the board were fitted to its dots, which leaves no linear
             error of the print.
     """
     if not np.isfinite(dot).all():
@@ -210,12 +210,12 @@ def board_terms(
 
 
 def _print_term(dot: FloatArray, by_shift: FloatArray, is_pose_fitted: bool) -> LabelTerm | None:
-    """Return printing errors in the plane of a board, with separate waves for its two axes.
+    """Return printing errors in the plane of a board, with separate waves for its two axes; None without an area.
 
     Args:
-        dot: (n, 2) places on the board, metres.
-        by_shift: (n, 2, 2) change of `observed` by a shift along both axes of the board.
-        is_pose_fitted: as of `board_terms`.
+        dot: (n, 2) positions on the board, metres.
+        by_shift: (n, 2, 2) change of `observed` by a shift along each axis of the board.
+        is_pose_fitted: as in `board_terms`.
     """
     waves = _waves(dot, _FINEST_M, is_pose_fitted)
     if waves is None:
@@ -224,7 +224,7 @@ def _print_term(dot: FloatArray, by_shift: FloatArray, is_pose_fitted: bool) -> 
     offset = np.full(len(frequency), -0.5 * np.log(0.25 * np.sum(np.exp(-2.0 * USUAL_FALL * frequency))))
     along, across = np.einsum("nkk->nk", by_shift), by_shift[:, [0, 1], [1, 0]]
     if np.linalg.norm(across) < _ALONG * np.linalg.norm(along):  # separate unknowns per output are cheaper
-        # Signs differ between outputs where the board's y axis points down, and change together where it is turned.
+        # Signs differ between outputs if the board's y axis points down, and both change if the board is turned.
         columns = columns * (np.sign(along[:, 0]) * np.abs(along).mean(axis=1))[:, None]
     else:
         columns = (by_shift[..., None] * columns[:, None, None]).reshape(len(dot), 2, -1)
@@ -233,10 +233,10 @@ def _print_term(dot: FloatArray, by_shift: FloatArray, is_pose_fitted: bool) -> 
 
 
 def _height_term(dot: FloatArray, by_height: FloatArray) -> LabelTerm | None:
-    """Return heights of a board over the plane that fits it.
+    """Return heights of a board over its best-fit plane; None without an area.
 
     Args:
-        dot: (n, 2) places on the board, metres.
+        dot: (n, 2) positions on the board, metres.
         by_height: (n, 2) change of `observed` by a shift out of the board's plane.
     """
     waves = _waves(dot, _FINEST_HEIGHT_M, is_pose_fitted=True)
@@ -262,9 +262,9 @@ def _board_axes(dot: FloatArray, point: FloatArray, pose: IntArray) -> FloatArra
 
 
 def _waves(dot: FloatArray, finest_m: float, is_pose_fitted: bool) -> tuple[FloatArray, FloatArray] | None:
-    """Return waves (n, k) on a board and their frequencies (k,), radians in `_UNIT_M`; None without an area.
+    """Return waves (n, k) on a board and their frequencies (k,), radians per `_UNIT_M`; None without an area.
 
-    A fit of the board's pose and scale to all of its dots removes the linear part of the waves.
+    A fit of the board's pose and scale to all dots removes the linear part of the waves.
     """
     every, row = np.unique(dot, axis=0, return_inverse=True)
     middle, half = 0.5 * (dot.max(axis=0) + dot.min(axis=0)), 0.5 * _BEYOND * np.ptp(dot, axis=0)

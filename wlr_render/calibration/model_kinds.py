@@ -1,4 +1,4 @@
-"""How a model of either side of the headset, display or see-through, is fitted: base plane, kinds, limits, refusals."""
+"""Recipes for model fits of either side of the headset, display or see-through: base plane, kinds, limits, refusals."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -22,23 +22,24 @@ from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial
 
-_FLAT = 0.1  # thickness over extent up to which positions are a plane: thicker layers are spread in depth on purpose
-_SPREAD = 0.1  # least extent across the best line over that along it: below, errors of the stage tilt the plane
-_STEEPEST = np.tan(np.deg2rad(20.0))  # steepest plane: headsets lean forward by up to some 15 degrees
-_LEAST_RISE = 1e-3  # rise over the extent: 0.06 degrees, which no camera position could show
-_SIGNIFICANT = 10.0  # F statistic of both slopes: chance exceeds it in one of 1,000 sessions of 25 positions
+_FLAT = 0.1  # largest thickness over extent of positions in a plane; thicker layers are spread in depth on purpose
+_SPREAD = 0.1  # least ratio of extents across and along the best-fit line; below it, stage errors tilt the plane
+_STEEPEST = np.tan(np.deg2rad(20.0))  # largest slope of the plane; headsets lean forward by up to about 15 degrees
+_LEAST_RISE = 1e-3  # least rise over extent; no camera position shows 0.06 degrees
+_SIGNIFICANT = 10.0  # F statistic of both slopes, which chance exceeds in one of 1,000 sessions of 25 positions
 
 
 def choose_base_plane(viewpoint: FloatArray, eye_box: EyeBox) -> BasePlane:
-    """Return the base plane of the best conditioning for captures.
+    """Return the base plane with the best conditioning for captures.
 
-    At camera positions in the plane p~ is the position itself: neither the noise of a direction nor the solve mixes
-    into it. So it is the least-squares plane through the positions, if they lie in one: tilted if a tilt of up to 20
-    degrees is significant, else of constant z. For positions spread in depth it is the plane of constant z through the
-    centre of the eye box, where the contraction over the box is smallest: it grows with the distance from the plane.
+    At camera positions in the plane, p~ is the position itself, without noise of a direction or of the solve. The plane
+    is therefore the least-squares plane through coplanar positions: tilted if a tilt of up to 20 degrees is
+    significant, else of constant z. For positions spread in depth, it is the plane of constant z through the centre of
+    the eye box, which has the smallest contraction over the box, because contraction grows with distance from the
+    plane.
 
     Args:
-        viewpoint: (n, 3) metres, device frame; repeated positions count once.
+        viewpoint: (n, 3) positions, metres, device frame; repeated positions count once.
         eye_box: box of valid viewpoints.
     """
     position = np.unique(viewpoint, axis=0)
@@ -68,8 +69,8 @@ class ModelKind(Generic[AnyCaptures, AnyModel]):
     Attributes:
         readings: (captures, place, limits, trend) -> readings.
         model: (captures, place, regressor, spread) -> model.
-        place: place of its viewpoints; None for the base plane. A model of no place is fitted at one camera position.
-        needs_trend: whether it has a trend. is_trend_alone: and nothing else.
+        place: place of the model's viewpoints; None for the base plane. `NOWHERE` means a fit at one camera position.
+        needs_trend: True if the model has a trend. is_trend_alone: True if it has only the trend.
     """
 
     readings: Callable[..., FitReadings]
@@ -82,12 +83,12 @@ class ModelKind(Generic[AnyCaptures, AnyModel]):
 def _with_orders(
     readings_within: Callable[..., FitReadings], orders: IntArray, captures: AnyCaptures, **given: Any
 ) -> FitReadings:
-    """Return readings of captures with the terms that a fit chose."""
+    """Return readings of captures with the terms chosen by a fit."""
     return replace(readings_within(captures, limits=TREND_ALONE, **given), orders=orders)
 
 
 def nearest_to_centre(captures: AnyCaptures) -> AnyCaptures:
-    """Return the captures, of each target pose, from the camera position nearest to the eye box's centre."""
+    """Return the captures of each target pose from the camera position nearest to the eye box's centre."""
     distance = np.linalg.norm(captures.viewpoint - captures.eye_box.centre, axis=1)
     poses = getattr(captures, "target_pose", np.zeros(len(captures)))
     chosen = np.zeros(len(captures), dtype=bool)
@@ -99,15 +100,16 @@ def nearest_to_centre(captures: AnyCaptures) -> AnyCaptures:
 
 @dataclass(frozen=True)
 class Side(Generic[AnyCaptures, AnyModel]):
-    """Display or see-through.
+    """Recipes for one side of the headset, display or see-through.
 
     Attributes:
         name: "display" or "see-through".
-        subject: the model's input other than the place, "pixel" or "direction".
-        kinds: by name; "planar" is one of them.
-        limits: of the orders of the fit that finds which terms matter, and of all fits; see `smooth_search.fit_within`.
-        check: (captures, kind, place), refuses captures that no fit is needed to refuse.
-        lacking: (captures, kind) -> what captures that do not determine a model lack, as the end of a sentence.
+        subject: input of the model besides the place, "pixel" or "direction".
+        kinds: kinds by name, including "planar".
+        limits: limits of the orders in the fit that finds which terms matter, and in all fits; see
+            `smooth_search.fit_within`.
+        check: function (captures, kind, place) that refuses captures before a fit.
+        lacking: (captures, kind) -> end of an error message, with the data missing to determine a model.
     """
 
     name: str
@@ -131,19 +133,19 @@ class Side(Generic[AnyCaptures, AnyModel]):
 
         Args:
             captures: the readings.
-            kind: "planar" (viewpoints are carried along their measured rays to the base plane), "volumetric", "static"
-                (only the camera position nearest to the eye box's centre is used, of each target pose), for a display
-                "point-per-pixel", or with a trend "grey-box" (planar, and the trend is its prior mean) or
-                "prescription" (the trend alone).
+            kind: "planar" (viewpoints are carried along measured rays to the base plane), "volumetric", "static" (uses
+                only the camera position of each target pose nearest to the eye box's centre), for a display
+                "point-per-pixel", or with a trend "grey-box" (planar, with the trend as prior mean) or "prescription"
+                (the trend alone).
             degree: highest total degree; None for the terms within `limits` that matter.
-            base_plane: of a planar model; None for the plane of `choose_base_plane`.
-            trend: the model's values on that plane; of a grey box or prescription.
-            weights: (n,) of the captures' readings, see `smooth_search.fit`.
-            stage: errors of the stage that other captures of the bench found; None to find them.
+            base_plane: base plane of a planar model; None for the plane of `choose_base_plane`.
+            trend: prior mean on the base plane, for a grey box or prescription.
+            weights: (n,) weights of the captures' readings, see `smooth_search.fit`.
+            stage: stage errors estimated from other captures of the bench; None to estimate them.
 
         Raises:
-            BadInputError: an unknown kind, a point behind the base plane, captures that determine nothing or contradict
-                each other, or a model that may have two solutions; the message names the remedy.
+            BadInputError: the kind is unknown, a point lies behind the base plane, captures determine nothing or
+                contradict each other, or the model may have two solutions; the message names the remedy.
         """
         if kind not in self.kinds:
             choice = ", ".join(self.kinds)
@@ -171,7 +173,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
                 "machine: there are too few camera positions, or the motions between them explain all that they see; "
                 "add camera positions."
             ) from error
-        if degree is None:  # a limit may be why no polynomial follows
+        if degree is None:  # with a stated degree, the limit may be the cause
             smooth.require_agreement(f"the {self.name} captures of {captures.device}", used.sigma_arcmin)
         readings_of = partial(_with_orders, readings_within, smooth.readings.orders)
         mapping = how.model(used, place, smooth.polynomial, smooth.spread)
@@ -180,7 +182,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         return ModelFit(kind, mapping, used, smooth, readings_of, orders, contraction)
 
     def with_trend(self, fitted: ModelFit[AnyModel], plane: BasePlane, trend: Trend) -> ModelFit[AnyModel]:
-        """Return a fit on a plane with another prior of the trend's parameters; see `SmoothFit.with_trend`."""
+        """Return the fit with another prior of the trend's parameters; see `SmoothFit.with_trend`."""
         smooth = fitted.smooth.with_trend(trend)
         captures: Any = fitted.captures  # AnyCaptures of this side
         mapping = self.kinds[fitted.kind].model(captures, plane, smooth.polynomial, smooth.spread)
@@ -190,7 +192,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         """Refuse captures that were not taken near the eye box.
 
         Raises:
-            BadInputError: along some axis all camera positions lie farther outside than the eye box is wide.
+            BadInputError: along an axis, all camera positions are farther outside than the eye box's largest side.
         """
         box = captures.eye_box
         low, high = captures.viewpoint.min(axis=0), captures.viewpoint.max(axis=0)
@@ -207,9 +209,9 @@ class Side(Generic[AnyCaptures, AnyModel]):
         )
 
     def undetermined(self, kind: str, lacking: str) -> BadInputError:
-        """Return the refusal of captures that do not determine a model of a kind."""
+        """Return the error for captures that do not determine a model of a kind."""
         return BadInputError(f"the captures do not determine a {kind} {self.name} model: {lacking}.")
 
     def planar_box(self, captures: AnyCaptures, plane: BasePlane) -> Box:
-        """Box of a planar fit's inputs, for which its trend is compiled."""
+        """Return the box of a planar fit's inputs, for which its trend is compiled."""
         return self.kinds["planar"].readings(captures, plane, TREND_ALONE, None).box
