@@ -31,9 +31,10 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.gl import gl
 from wlr_render.gl.context import GlContext
 from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import Float32Array
 from wlr_render.report.blocks import Report
 from wlr_render.scene.scene import Scene
-from wlr_render.warp import gl_backend, raster_camera
+from wlr_render.warp import gl_backend, gl_ray_maps, raster_camera
 from wlr_render.warp.choose_grid import ChosenWarpGrid
 from wlr_render.warp.ray_map import RayMapPlan
 
@@ -197,17 +198,19 @@ CHOICES = (
     (raster_camera, "choose_warp_grid"),
     (raster_camera, "minification_over_eye_box"),
     (gl_backend, "choose_plan"),
+    (gl_ray_maps, "planar_terms"),
 )
 """Functions of a model alone, which solve thousands of its rays: the most part of a compositor's start."""
 
-_CHOSEN: dict[tuple[str, bytes], ChosenWarpGrid | RayMapPlan | float] = {}
+Chosen = ChosenWarpGrid | RayMapPlan | Float32Array | float
+_CHOSEN: dict[tuple[str, bytes], Chosen] = {}
 
 
-def remembered(function: Callable[..., Any]) -> Callable[..., ChosenWarpGrid | RayMapPlan | float]:
+def remembered(function: Callable[..., Any]) -> Callable[..., Chosen]:
     """Return the function with its answers kept for models that are equal, whoever made them."""
 
     @wraps(function)
-    def with_memory(*given: ArrayLike | Eye | Pinhole) -> ChosenWarpGrid | RayMapPlan | float:
+    def with_memory(*given: ArrayLike | Eye | Pinhole) -> Chosen:
         key = function.__name__, pickle.dumps(given)
         if key not in _CHOSEN:
             _CHOSEN[key] = function(*given)

@@ -70,10 +70,8 @@ def test_triangles_are_as_large_as_the_second_difference_allows(toy_headset: Eye
     assert 0.8 * largest_px < grid.step_px[0] < 1.02 * largest_px
 
 
-@pytest.mark.parametrize("device", ["freeform40", "birdbath28"])
-@pytest.mark.slow
-def test_the_bound_holds_at_other_pixels_and_viewpoints(device: str) -> None:
-    eye = fitted_eye(device, 3)
+def test_the_bound_holds_at_other_pixels_and_viewpoints() -> None:
+    eye = fitted_eye("birdbath28", 3)
     axes, rng = middle_axes(eye), np.random.default_rng(8)
     chosen = choose_warp_grid(eye, axes)
     worst = max(
@@ -86,20 +84,9 @@ def test_the_bound_holds_at_other_pixels_and_viewpoints(device: str) -> None:
         ).max()
         for unit in rng.uniform(-1, 1, (10, 3))
     )
-    print(f"{device}: cells of {chosen.cell_px} px, bound {chosen.bound_arcmin:.4f}', at 2,000 others {worst:.4f}'")
+    print(f"cells of {chosen.cell_px} px, bound {chosen.bound_arcmin:.4f}', at 2,000 others {worst:.4f}'")
     assert chosen.bound_arcmin <= TOLERANCE_ARCMIN
     assert 0.2 * chosen.bound_arcmin < worst <= 1.1 * chosen.bound_arcmin
-
-
-def test_half_the_cell_makes_an_eighth_of_the_error_or_less() -> None:
-    eye = fitted_eye("northstar", 5)
-    axes, viewpoint = middle_axes(eye), eye.eye_box.at(np.array([0.5, -0.5, 1]))
-    errors = []
-    for cells in (40, 80):
-        warp_grid = WarpGrid.edge_to_edge(eye.display.panel, cells + 1, cells + 1)
-        place = warp_grid.step_px * (np.array([[10, 10], [20, 20], [30, 10], [10, 30]]) * cells // 40 + 0.21)
-        errors.append(warp_grid_error_arcmin(eye, axes, warp_grid, viewpoint, place).sum())
-    assert 6 < errors[0] / errors[1] < 18
 
 
 def test_an_unreachable_tolerance_gives_the_densest_grid(toy_headset: Eye) -> None:

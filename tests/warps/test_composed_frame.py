@@ -143,8 +143,9 @@ def test_each_row_of_a_rolling_scan_out_is_that_of_a_frame_at_its_own_pose(
 
 @pytest.mark.gl
 def test_a_raster_camera_at_the_viewpoint_gives_the_same_points(
-    compositor: Callable[..., Any], renderer: RayRenderer, headset: Eye
+    compositor: Callable[..., Any], renderer: RayRenderer, flat_image_headset: Eye
 ) -> None:
+    headset = flat_image_headset
     seen = viewpoint(headset)
     nearest, paper = (compositor(headset, raster_camera=place) for place in ("nearest", "viewpoint"))
     places = [made.begin_frame(HEAD, seen)["right"].view.position_in_world for made in (nearest, paper)]

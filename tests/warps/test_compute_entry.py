@@ -28,6 +28,7 @@ pytestmark = pytest.mark.gl
 WIDTH, HEIGHT = SMALL
 MOVED = HEAD @ gl_scenes.at(0.01, -0.01, 0.02, transforms.rotation_about("y", 0.02))
 TABLE = np.linspace(0, 1, 256)[:, None] ** np.array([1.8, 2.0, 2.4])
+UNEVEN = np.linspace(0.5, 1, WIDTH * HEIGHT).reshape(HEIGHT, WIDTH)
 Compose = Callable[[Compositor], Any]
 
 
@@ -68,18 +69,18 @@ def with_inset(made: Compositor) -> None:
     ("options", "prepare", "last_row"),
     [
         ({}, None, None),
-        ({"channels": 3, "resolution": 2.0}, None, MOVED),
-        (
-            {"panel": PanelLight(bits=10, uniformity=np.linspace(0.5, 1, WIDTH * HEIGHT).reshape(HEIGHT, WIDTH))},
-            None,
-            None,
-        ),
+        ({"channels": 3, "resolution": 2.0}, with_inset, MOVED),
+        ({"panel": PanelLight(bits=10, uniformity=UNEVEN)}, with_overlay, None),
         ({"panel": PanelLight(bits=16, encoding="linear")}, None, None),
         ({"panel": PanelLight(encoding=TABLE)}, None, None),
-        ({}, with_overlay, None),
-        ({"channels": 3}, with_inset, MOVED),
     ],
-    ids=["plain", "three colours, filtered, by rows", "10 bits, uneven", "16 bits", "table", "overlay", "inset"],
+    ids=[
+        "plain",
+        "three colours, filtered, by rows, with an inset",
+        "10 bits, uneven, with an overlay",
+        "16 bits",
+        "table",
+    ],
 )
 def test_both_entries_show_the_same(
     in_both: Callable[..., list[Any]],

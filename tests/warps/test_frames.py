@@ -21,6 +21,8 @@ from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.compositor import Compositor
 
+TINY = 24, 20
+
 
 @pytest.fixture
 def pair(flat_image_headset: Eye) -> dict[str, Eye]:
@@ -136,6 +138,8 @@ def test_choices_that_are_none_are_told_in_a_sentence(compositor: Callable[..., 
         ({"resolution": "1"}, "resolution is '1'"),
         ({"resolution": True}, "resolution is True"),
         ({"late_margin_deg": None}, "late_margin_deg is None"),
+        ({"size": (10**6, 20)}, "and OpenGL takes"),
+        ({"size": (20, 10**6)}, "and OpenGL takes"),
         ({"size": (40000, 25000)}, "pixels, 134217728 of them at most"),
         ({"size": ("72", "60")}, "size is .'72', '60'.; give .width, height. in whole pixels"),
         ({"size": (9000, 9000), "resolution": 4}, "the right eye's camera would have .* make size, resolution"),
@@ -191,8 +195,8 @@ def test_frames_leave_nothing_behind(compositor: Callable[..., Any], gl_context:
     if gl_context.backend != "egl":
         pytest.skip("EGL does not open here, so that there is no other context to adopt.")
     headset, caller = planar(device="birdbath28"), Caller()  # its warp grid is the coarsest
-    made = compositor(headset, context=caller.ctx)
-    source, screen = SceneSource(made, scene()), caller.ctx.simple_framebuffer(SMALL)
+    made = compositor(headset, TINY, context=caller.ctx)
+    source, screen = SceneSource(made, scene()), caller.ctx.simple_framebuffer(TINY)
     image = source.read(made.begin_frame(HEAD, viewpoint(headset))["right"].view)
 
     def run(frames: range) -> None:

@@ -29,7 +29,8 @@ from wlr_render.warp.warp import WarpedImage, WarpStatus
 
 pytestmark = pytest.mark.gl
 
-WIDTH, HEIGHT = 320, 240
+WIDTH, HEIGHT = 160, 120
+SIZE = 90, 75  # of the composed frames
 CAMERA = Pinhole(WIDTH, HEIGHT, np.array([-0.4, -0.3]), np.array([0.4, 0.3]))
 WALL, HAND = 0.5, 5.0
 """Inverse depths of a wall that fills the field, and of a square in front of it, in 1/m."""
@@ -97,7 +98,7 @@ def test_what_the_older_picture_sees_is_shown(gl_context: GlContext, cells: int 
     finally:
         gl_context.computes = usual
     truth, gap = seen(SEEN_FROM).colour, alone.status == WarpStatus.DISOCCLUDED
-    assert gap.sum() > 3000
+    assert gap.sum() > 750
     np.testing.assert_array_equal(filled.status, alone.status)
     np.testing.assert_array_equal(filled.colour[~gap], alone.colour[~gap])
     np.testing.assert_array_equal(present(filled.source), present(alone.source))
@@ -109,7 +110,7 @@ def test_a_hand_that_was_in_the_gap_does_not_appear_there(gl_context: GlContext)
     then = 0.02, 0.035
     alone, filled = composed(gl_context, None), composed(gl_context, seen(OLDER, then))
     gap = alone.status == WarpStatus.DISOCCLUDED
-    assert (gap & is_hand(CAMERA, OLDER, then)).sum() > 500
+    assert (gap & is_hand(CAMERA, OLDER, then)).sum() > 125
     assert not (gap & np.all(filled.colour == HAND_COLOUR, axis=-1)).any()
     is_filled = (filled.colour != alone.colour).any(axis=-1)
     assert is_filled[gap].mean() > 0.5
@@ -120,7 +121,7 @@ def test_what_neither_picture_sees_is_filled_as_without(gl_context: GlContext) -
     image = seen(NEWEST)
     other = GeometryImage(image.colour[..., ::-1], image.inverse_depth)
     alone, filled = composed(gl_context, None), composed(gl_context, other, older_at=NEWEST)
-    assert (alone.status == WarpStatus.DISOCCLUDED).sum() > 3000
+    assert (alone.status == WarpStatus.DISOCCLUDED).sum() > 750
     differ = (filled.colour != alone.colour).any(axis=-1)
     assert differ.sum() <= 2 * HEIGHT  # along the edges of the gap
 
@@ -151,7 +152,7 @@ def test_a_head_that_turns_back_sees_the_last_picture(
 ) -> None:
     aside, shown = HEAD @ OLDER, []
     for hidden_areas in ("repeated", "last picture"):
-        made = compositor(planar(), (180, 150), hidden_areas=hidden_areas)
+        made = compositor(planar(), SIZE, hidden_areas=hidden_areas)
         for pose in (HEAD, aside, HEAD):
             (camera,) = made.begin_frame(pose, viewpoint(planar())).values()
             submit(made, camera)
@@ -160,7 +161,7 @@ def test_a_head_that_turns_back_sees_the_last_picture(
     truth = made.compose().read()
     (alone, status), (filled, _) = shown
     gap = status == WarpStatus.DISOCCLUDED
-    assert gap.sum() > 700
+    assert gap.sum() > 175
     assert (codes_off(alone, truth)[gap] > 30).mean() > 0.95
     assert (codes_off(filled, truth)[gap] > 8).mean() < 0.1
 
@@ -170,7 +171,7 @@ def shaken(compositor: Callable[..., Any]) -> Callable[..., Compositor]:
     """Makes a compositor that has the pictures from OLDER and from HEAD, with the last picture or repeated areas."""
 
     def make(hidden_areas: str, submit: Callable[[Compositor, EyeCamera], None] = by_arrays) -> Compositor:
-        made: Compositor = compositor(planar(), (180, 150), hidden_areas=hidden_areas)
+        made: Compositor = compositor(planar(), SIZE, hidden_areas=hidden_areas)
         for pose in (HEAD @ OLDER, HEAD):
             submit(made, *made.begin_frame(pose, viewpoint(planar())).values())
         return made
@@ -182,11 +183,11 @@ def shaken(compositor: Callable[..., Any]) -> Callable[..., Compositor]:
 def test_a_framebuffer_shows_the_last_picture_too(shaken: Callable[..., Compositor], samples: int) -> None:
     made = shaken("last picture")
     with made.context.drawing() as ctx:
-        theirs, resolved = (ctx.simple_framebuffer((180, 150), samples=each) for each in (samples, 0))
+        theirs, resolved = (ctx.simple_framebuffer(SIZE, samples=each) for each in (samples, 0))
     made.compose(theirs, pose=HEAD @ SEEN_FROM)
     with made.context.drawing() as ctx:
         ctx.copy_framebuffer(resolved, theirs)
-        shown = np.frombuffer(resolved.read(components=3, alignment=1), np.uint8).reshape(150, 180, 3)[::-1]
+        shown = np.frombuffer(resolved.read(components=3, alignment=1), np.uint8).reshape(*SIZE[::-1], 3)[::-1]
     np.testing.assert_array_equal(shown, made.compose(pose=HEAD @ SEEN_FROM).read())
     assert (shown != shaken("repeated").compose(pose=HEAD @ SEEN_FROM).read()).any()
 
@@ -198,7 +199,7 @@ def test_overlays_cover_what_the_last_picture_fills(shaken: Callable[..., Compos
     for of_device, of_world in ((at_quad, None), (None, HEAD @ at_quad)):
         made.submit_overlay(white, (3.0, 3.0), device_from_quad=of_device, world_from_quad=of_world)
         frame = made.compose(pose=HEAD @ SEEN_FROM)
-        assert (frame.status() == WarpStatus.DISOCCLUDED).sum() > 700
+        assert (frame.status() == WarpStatus.DISOCCLUDED).sum() > 175
         assert (frame.read() == 255).all()
 
 
@@ -207,10 +208,10 @@ def test_each_row_has_its_own_pose_in_the_last_picture(shaken: Callable[..., Com
     last = first @ transforms.rigid(transforms.rotation_about("y", 0.02), np.zeros(3))
     by_rows = made.compose(pose=first, pose_at_last_row=last)
     rows, gap = by_rows.read(), by_rows.status() == WarpStatus.DISOCCLUDED
-    number = 40 + int(gap[40:].sum(axis=1).argmax())
-    at_row = made.compose(pose=transforms.between(first, last, np.array([number / 149]))[0]).read()[number]
+    number = 20 + int(gap[20:].sum(axis=1).argmax())
+    at_row = made.compose(pose=transforms.between(first, last, np.array([number / (SIZE[1] - 1)]))[0]).read()[number]
     at_first, hidden = made.compose(pose=first).read()[number], gap[number]
-    assert hidden.sum() > 8
+    assert hidden.sum() > 4
     assert np.median(codes_off(rows[number], at_row)[hidden]) <= 3
     assert np.median(codes_off(rows[number], at_first)[hidden]) > 10
 
@@ -238,7 +239,7 @@ def test_depth_bounds_stay_those_of_their_picture(compositor: Callable[..., Any]
         made.submit(image)
         return image
 
-    made, expected = (compositor(planar(), (180, 150), hidden_areas="last picture") for _ in range(2))
+    made, expected = (compositor(planar(), SIZE, hidden_areas="last picture") for _ in range(2))
     if is_prepared:
         for pose in poses:
             shown(made, pose)

@@ -62,28 +62,6 @@ def test_two_eyes_through_odd_state_and_back(
     assert_same(caller.state(), before)
 
 
-def test_its_own_pictures_are_the_same_before_between_and_after(
-    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
-    caller.textures[3].use(0)
-    caller.samplers[3].use(0)
-    caller.framebuffer.use()
-    caller.ctx.enable_only(moderngl.BLEND)
-    caller.ctx.blend_func = moderngl.ONE, moderngl.ZERO
-    before, objects = caller.draw(), caller.objects()
-    made = compositor(flat_image_headset, context=caller.ctx)
-    source = SceneSource(made, scene())
-    for _ in range(2):
-        draw(made, source, HEAD, viewpoint(flat_image_headset))
-        made.compose()
-        caller.framebuffer.clear()
-        assert caller.draw() == before
-    made.release()
-    assert caller.objects() == objects
-    assert caller.draw() == before
-    assert all(len(set(pixels)) > 1 for pixels in before)
-
-
 def test_faults_leave_the_state_and_the_next_frame_is_right(
     caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
 ) -> None:

@@ -204,7 +204,7 @@ def test_a_compositor_that_is_not_released_warns(flat_image_headset: Eye, caller
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("channels", "hidden_areas"), [(1, "repeated"), (3, "last picture")])
+@pytest.mark.parametrize(("channels", "hidden_areas"), [(3, "repeated"), (1, "last picture")])
 def test_prepared_compositors_compile_nothing_later(
     compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, channels: int, hidden_areas: str
 ) -> None:
@@ -230,8 +230,7 @@ def test_prepared_compositors_compile_nothing_later(
     assert compiled
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("is_software", [True, False], ids=["drawn", "computed"])
+@pytest.mark.parametrize(("channels", "is_software"), [(3, True), (1, False)], ids=["drawn", "computed"])
 def test_layers_insets_and_kinds_of_frames_share_their_programs(
     compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, channels: int, is_software: bool
 ) -> None:

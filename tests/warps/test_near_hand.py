@@ -48,7 +48,7 @@ def first_met(inverse_depth: Float32Array, offset: tuple[float, float]) -> Float
     return met
 
 
-@pytest.mark.parametrize("offset", [(0.02, 0.0), (-0.02, 0.0), (0.0, 0.015), (-0.014, 0.014)])
+@pytest.mark.parametrize("offset", [(0.02, 0.0), (-0.014, 0.014)])
 @pytest.mark.parametrize("cells", [(9, 9), (21, 17)])
 def test_a_search_in_parts_finds_what_the_whole_path_shows(
     gl_context: GlContext, image: GeometryImage, offset: tuple[float, float], cells: tuple[int, int]

@@ -202,49 +202,34 @@ def test_a_quad_that_is_seen_from_behind_is_not_shown(compositor: Callable[..., 
         assert not made.compose().read().any()
 
 
-@pytest.mark.parametrize(
-    ("picture", "given", "words"),
-    [
-        (np.zeros((4, 4, 4), np.uint8), {}, "one pose; give either world_from_quad or device_from_quad"),
-        (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": HEAD, "device_from_quad": HEAD}, "one pose"),
-        (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": 2 * np.eye(4)}, "it scales by 2"),
-        (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": np.tri(4)}, "give world_from_quad with the last row"),
-        (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": HEAD, "size_m": (0, 1)}, "both positive"),
-        (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": HEAD, "eyes": ("left",)}, "choose from right"),
-        (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": HEAD, "stored_colour": "srgb"}, "a StoredColour"),
+def test_overlays_that_cannot_be_are_refused_and_the_last_stays(
+    compositor: Callable[..., Any], flat_image_headset: Eye
+) -> None:
+    made, menu = compositor(flat_image_headset), np.zeros((4, 4, 4), np.uint8)
+    behind(made, flat_image_headset)
+    made.submit_overlay(places(), SIZE_M, device_from_quad=QUAD, stored_colour=LINEAR)
+    expected = made.compose().read()
+    wrong: tuple[tuple[Any, dict[str, Any], str], ...] = (
+        (menu, {}, "one pose; give either world_from_quad or device_from_quad"),
+        (menu, {"world_from_quad": HEAD, "device_from_quad": HEAD}, "one pose"),
+        (menu, {"world_from_quad": 2 * np.eye(4)}, "it scales by 2"),
+        (menu, {"world_from_quad": np.tri(4)}, "give world_from_quad with the last row"),
+        (menu, {"world_from_quad": HEAD, "size_m": (0, 1)}, "both positive"),
+        (menu, {"world_from_quad": HEAD, "eyes": ("left",)}, "choose from right"),
+        (menu, {"world_from_quad": HEAD, "stored_colour": "srgb"}, "a StoredColour"),
         (np.zeros((4, 4, 3), np.uint8), {"world_from_quad": HEAD}, "no alpha"),
         (np.zeros((4, 4), np.uint8), {"world_from_quad": HEAD}, r"shape \(4, 4\)"),
         (np.zeros((0, 4, 4), np.uint8), {"world_from_quad": HEAD}, r"shape \(0, 4, 4\)"),
         (np.zeros((4, 4, 4)), {"world_from_quad": HEAD}, "float64"),
         ("menu.png", {"world_from_quad": HEAD}, "cannot be taken from a str"),
-        (
-            np.zeros((4, 4, 4), np.uint8),
-            {"world_from_quad": HEAD, "layer": 4},
-            "layer is 4; give a whole number from 0 to 3",
-        ),
-        (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": HEAD, "layer": "top"}, "give a whole number from 0 to 3"),
+        (menu, {"world_from_quad": HEAD, "layer": 4}, "layer is 4; give a whole number from 0 to 3"),
+        (menu, {"world_from_quad": HEAD, "layer": "top"}, "give a whole number from 0 to 3"),
         (99999, {"world_from_quad": HEAD}, "number 99999 is not a texture of the OpenGL context"),
-    ],
-)
-def test_overlays_that_cannot_be_are_refused_and_the_last_stays(
-    compositor: Callable[..., Any],
-    flat_image_headset: Eye,
-    picture: FloatArray | NDArray[np.uint8] | int | str,
-    given: dict[str, Any],
-    words: str,
-) -> None:
-    made = compositor(flat_image_headset)
-    behind(made, flat_image_headset)
-    made.submit_overlay(places(), SIZE_M, device_from_quad=QUAD, stored_colour=LINEAR)
-    expected = made.compose().read()
-    with pytest.raises(BadInputError, match=words):
-        made.submit_overlay(picture, **given)
-    np.testing.assert_array_equal(made.compose().read(), expected)
-
-
-@pytest.mark.parametrize("overlays", [1.5, 5, -1, True])
-def test_numbers_of_overlays_that_cannot_be_are_not_prepared(
-    compositor: Callable[..., Any], flat_image_headset: Eye, overlays: float
-) -> None:
-    with pytest.raises(BadInputError, match=r"overlays is .*; give a whole number from 0 to 4"):
-        compositor(flat_image_headset).prepare(overlays)
+    )
+    for picture, given, words in wrong:
+        with pytest.raises(BadInputError, match=words):
+            made.submit_overlay(picture, **given)
+        np.testing.assert_array_equal(made.compose().read(), expected)
+    for overlays in (1.5, 5, -1, True):
+        with pytest.raises(BadInputError, match=r"overlays is .*; give a whole number from 0 to 4"):
+            made.prepare(overlays)

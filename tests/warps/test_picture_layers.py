@@ -76,15 +76,6 @@ def test_a_layer_of_an_array_by_object_or_name(gl_context: GlContext, take: Pict
     assert (take.take(CAMERA, colour, depth, INVERSE).read().colour == 9).all()
 
 
-def test_raw_names_of_plain_textures(gl_context: GlContext, take: PictureImport) -> None:
-    with gl_context.drawing() as ctx:
-        colour, depth = ctx.texture(SIZE, 4, COLOURS), ctx.texture(SIZE, 1, DEPTHS, dtype="f4")
-        buffer = ctx.depth_texture(SIZE, DEPTHS)
-    assert_taken(take.take(CAMERA, colour.glo, np.uint32(depth.glo), INVERSE))
-    taken = take.take(CAMERA, colour.glo, buffer.glo, WINDOW).read()
-    np.testing.assert_allclose(taken.inverse_depth[::-1], 2 + DEPTHS * (0.25 - 2), rtol=1e-5)
-
-
 def test_a_mip_level(gl_context: GlContext, take: PictureImport) -> None:
     with gl_context.drawing() as ctx:
         colour, depth = ctx.texture((4 * WIDTH, 4 * HEIGHT), 4), ctx.texture((2 * WIDTH, 2 * HEIGHT), 1, dtype="f4")
@@ -136,7 +127,13 @@ def test_metres_in_a_depth_format_are_refused(gl_context: GlContext, take: Pictu
         colour, depth = ctx.texture(SIZE, 4), ctx.depth_texture(SIZE)
         drawn = ctx.framebuffer([colour], depth)
         drawn.clear(depth=0.25)
-    pictures = (colour, depth), (colour.glo, depth.glo), (TextureLayer(colour), depth), (drawn, None), (drawn.glo, None)
+    pictures = (
+        (colour, depth),
+        (colour.glo, np.uint32(depth.glo)),
+        (TextureLayer(colour), depth),
+        (drawn, None),
+        (drawn.glo, None),
+    )
     for given, beside in pictures:
         with pytest.raises(BadInputError, match=r"holds no metres; say .* stored=StoredDepth\(DepthKind.WINDOW, near"):
             take.take(CAMERA, given, beside, StoredDepth())
@@ -202,6 +199,7 @@ def test_bad_layers_are_refused_in_a_sentence(gl_context: GlContext, take: Pictu
         colour, depth = ctx.texture(SIZE, 4), ctx.texture(SIZE, 1, dtype="f4")
         array, whole = ctx.texture_array((*SIZE, 2), 4), ctx.texture(SIZE, 4, dtype="u1")
         levels, several = ctx.texture(SIZE, 4), ctx.texture(SIZE, 4, samples=4)
+        cube = ctx.texture_cube(SIZE[:1] * 2, 4)
         levels.build_mipmaps()
         gone = ctx.texture_array((*SIZE, 2), 4)
         gone.release()
@@ -218,7 +216,8 @@ def test_bad_layers_are_refused_in_a_sentence(gl_context: GlContext, take: Pictu
         ),
         ((TextureLayer(colour, rect_px=(0, 0, 9, 48)), depth), "has 9x48 pixels, the camera 64x48"),
         ((depth.glo, depth.glo), "holds no red, green and blue"),
-        ((whole.glo, depth.glo), "whole numbers"),
+        ((whole.glo, depth.glo), "holds whole numbers for colours: use RGBA8"),
+        ((int(cube.glo), depth), r"texture \d+ is a cube map, a buffer or a row; give a 2D"),
         ((colour.glo, whole.glo), "holds no depth that can be copied"),
         ((gone, depth), "has been released"),
         ((colour, 0.5), "a picture cannot be taken from a Texture and a float"),

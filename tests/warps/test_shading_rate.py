@@ -74,13 +74,13 @@ def display_px(eye: Eye, plan: EyePlan, rng: np.random.Generator) -> tuple[NDArr
     return place[0, known], np.linalg.inv(np.moveaxis(sides, 0, -1))
 
 
-@pytest.mark.parametrize(("device", "margin"), [("northstar", 0.02), ("birdbath28", 0.02), ("freeform40", 0.0)])
+@pytest.mark.parametrize(("device", "margin"), [("northstar", 0.02), ("freeform40", 0.0)])
 def test_no_block_covers_more_than_a_display_pixel(device: str, margin: float) -> None:
     eye, rng = traced_eye(load_device(device), "right"), np.random.default_rng(3)
     plan = plan_of(eye, (360, 400), 3.0, margin)
     rate = plan.shading_rate((8, 8))
     met, coarse = np.zeros(rate.shape, bool), 0
-    for _ in range(25):
+    for _ in range(10):
         place, of_image = display_px(eye, plan, rng)
         turned = place + rng.uniform(-1, 1, 2) * margin * plan.camera.focal_px
         column, row = np.clip(turned // 8, 0, np.array(rate.shape[::-1]) - 1).astype(int).T

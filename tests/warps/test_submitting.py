@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gl_scenes import at
 from numpy.typing import NDArray
-from warps.composing import CONTEXTS, HEAD, draw, scene, viewpoint
+from warps.composing import HEAD, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.draw.gl_raster import GlRaster
@@ -18,7 +18,6 @@ from wlr_render.gl.context import GlContext
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.warp.stored_picture import DepthKind, Rows, StoredDepth
-from wlr_render.warp.view import GeometryImage
 
 INVERSE = StoredDepth(DepthKind.INVERSE)
 WINDOW, REVERSED = StoredDepth(DepthKind.WINDOW, 0.1, 5.0), StoredDepth(DepthKind.WINDOW, np.inf, 0.1)
@@ -29,67 +28,6 @@ def buffered(inverse: Float32Array, stored: StoredDepth) -> Float32Array:
     """What a depth buffer holds; the far plane's value for nothing."""
     at_0, at_1 = stored.inverse_of_0_and_1
     return np.where(inverse > 0, (inverse - at_0) / (at_1 - at_0), 0 if at_0 < at_1 else 1).astype(np.float32)
-
-
-def arrays(
-    image: GeometryImage,
-) -> dict[str, tuple[tuple[NDArray[Any], ...], dict[str, Rows | StoredDepth]]]:
-    """Forms of two arrays: what `submit` is called with."""
-    with np.errstate(divide="ignore"):
-        infinite = 1 / image.inverse_depth
-    metres = np.where(np.isinf(infinite), np.float32(0), infinite)
-    transparent = np.dstack([image.colour, np.zeros_like(image.colour[..., :1])])
-    return {
-        "metres": ((image.colour, metres), {}),
-        "metres, nothing infinite": ((image.colour, infinite), {}),
-        "inverse": ((image.colour, image.inverse_depth), {"stored": INVERSE}),
-        "window": ((image.colour, buffered(image.inverse_depth, WINDOW)), {"stored": WINDOW}),
-        "reversed": ((image.colour, buffered(image.inverse_depth, REVERSED)), {"stored": REVERSED}),
-        "with alpha": ((transparent, metres), {}),
-        "bottom row first": ((image.colour[::-1], metres[::-1]), {"rows": Rows.BOTTOM_FIRST}),
-        "read only": (tuple(np.broadcast_to(each, each.shape) for each in (image.colour, metres)), {}),
-    }
-
-
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_arrays_of_all_kinds(compositor: Callable[..., Any], flat_image_headset: Eye, context: str) -> None:
-    made = compositor(flat_image_headset, context=context)
-    source, seen = SceneSource(made, scene(wall=False)), viewpoint(flat_image_headset)
-    (camera,) = draw(made, source, HEAD, seen).values()
-    expected, image = made.compose(pose=TURNED, with_source=True).source(), source.read(camera.view)
-    for name, (given, how) in arrays(image).items():
-        made.begin_frame(HEAD, seen)
-        made.submit(*given, **how)
-        moved = np.linalg.norm(made.compose(pose=TURNED, with_source=True).source() - expected, axis=-1)
-        # Depths are rounded otherwise: at an edge a pixel may change sides.
-        assert (moved > 0.01).mean() < 0.01, name
-
-
-@pytest.mark.gl
-def test_everything_that_lies_on_the_gpu(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
-    made = compositor(flat_image_headset, context="egl")
-    raster, seen = GlRaster(made.context, scene()), viewpoint(flat_image_headset)
-    (camera,) = made.begin_frame(HEAD, seen).values()
-    image = raster.draw_on_gpu(camera.view)
-    made.submit(image)
-    expected, picture = made.compose().read(), image.read()
-    window = ((picture.inverse_depth - 10) / (1 / 5.0 - 10)).astype(np.float32)[::-1]
-    upward = np.ascontiguousarray(picture.colour[::-1])
-    with made.context.drawing() as ctx:
-        colour = ctx.texture(camera.size_px, 3, upward, alignment=1)
-        depth = ctx.depth_texture(camera.size_px, np.ascontiguousarray(window))
-        framebuffer = ctx.framebuffer([colour], depth)
-    for given, how in (
-        ((image.colour, image.inverse_depth), {"stored": INVERSE, "rows": Rows.TOP_FIRST}),
-        ((colour, depth), {"stored": WINDOW}),
-        ((framebuffer,), {"stored": WINDOW}),
-        ((framebuffer.glo,), {"stored": WINDOW}),
-        ((np.uint32(framebuffer.glo),), {"stored": WINDOW}),
-    ):
-        made.begin_frame(HEAD, seen)
-        made.submit(*given, **how)
-        difference = np.abs(made.compose().read().astype(int) - expected)
-        assert (difference > 1).mean() < 0.002
 
 
 def bad_arrays(size: tuple[int, int]) -> tuple[tuple[tuple[Any, ...], str], ...]:
@@ -207,15 +145,6 @@ def test_words_do_not_stand_for_kinds_and_rows(compositor: Callable[..., Any], f
     no_kind: Any = "WINDOW"
     with pytest.raises(BadInputError, match="'WINDOW' is not a kind of depth"):
         StoredDepth(no_kind, 0.05, np.inf)
-
-
-@pytest.mark.gl
-def test_pictures_larger_than_opengl_takes_are_refused_at_once(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
-    for size in ((10**6, 20), (20, 10**6)):
-        with pytest.raises(BadInputError, match="and OpenGL takes"):
-            compositor(flat_image_headset, size=size, context="egl")
 
 
 @pytest.mark.gl

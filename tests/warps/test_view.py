@@ -25,10 +25,3 @@ def test_a_point_is_the_same_world_point_by_both_ways(lead: tuple[int, ...]) -> 
         point_in_world = transforms.apply(poses[place], point_in_device)
         seen = transforms.apply(view.world_from_camera, transforms.apply(carried[place], point_in_field))
         np.testing.assert_allclose(seen, point_in_world, atol=1e-12)
-
-
-def test_a_camera_beside_the_viewpoint_with_the_same_axes_only_shifts() -> None:
-    rng = np.random.default_rng(5)
-    axes, head, viewpoint, beside = pose(rng)[:3, :3], pose(rng), np.array([0.0, 0.1, 0.2]), np.array([1e-3, 0, -2e-3])
-    carried = image_from_ray_map(View(OFF_CENTRE, viewpoint + beside, head, axes), viewpoint, axes, head)
-    np.testing.assert_allclose(carried, transforms.rigid(np.eye(3), -axes.T @ beside), atol=1e-15)

@@ -242,9 +242,7 @@ def check_wire(gpu: OpenGl | WebGpu, eye: Eye, mesh: WarpMesh, wire_m: float) ->
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize(
-    ("version", "newest"), [("420", TURNED), ("420", MOVED), ("310 es", TURNED), ("310 es", MOVED), ("300 es", MOVED)]
-)
+@pytest.mark.parametrize(("version", "newest"), [("420", TURNED), ("310 es", MOVED), ("300 es", MOVED)])
 def test_the_warp_shows_what_the_exact_rays_meet(
     gl_context: GlContext, eye: Eye, mesh: WarpMesh, version: str, newest: FloatArray
 ) -> None:
@@ -252,8 +250,7 @@ def test_the_warp_shows_what_the_exact_rays_meet(
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("wire_m", [0.1, 0.3, 3.0])
-@pytest.mark.parametrize("version", ["420", "300 es"])
+@pytest.mark.parametrize(("wire_m", "version"), [(0.1, "420"), (3.0, "300 es")])
 def test_a_wire_of_one_pixel_is_whole_from_aside(
     gl_context: GlContext, eye: Eye, mesh: WarpMesh, wire_m: float, version: str
 ) -> None:
@@ -306,7 +303,6 @@ def test_the_warp_in_webgpu_shows_what_the_exact_rays_meet(
         gpu = WebGpu(wgpu, compiled)
     except RuntimeError as error:
         pytest.skip(f"WebGPU finds no device; lavapipe of mesa-vulkan-drivers is one ({error}).")
-    check(gpu, eye, mesh, TURNED)
     check(gpu, eye, mesh, MOVED)
     check_wire(gpu, eye, mesh, 0.1)
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyvander2d
 
 from wlr_render.gl import gl
-from wlr_render.mappings import EYE_BOX_MARGIN, Eye, Status, StatusArray, require_planar
+from wlr_render.mappings import EYE_BOX_MARGIN, Eye, PlanarModel, Status, StatusArray, require_planar
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.polynomial import SCALED_LIMIT, Box
 from wlr_render.warp.grid import WarpGrid
@@ -105,7 +105,7 @@ class GlPlanarSolver:
         of_display, of_see_through = (int(each.sum(axis=1).max(initial=0)) for each in orders)
         # One degree more for the deviation: it also depends on the tangents, which vary with the position.
         self._degree = max(DEGREE, of_display, of_see_through + 1)
-        terms = self._terms()
+        terms = planar_terms(self._display, self._see_through, warp_grid, self._degree)
         constants: dict[str, float] = {status.name: int(status) for status in Status}
         constants |= {"MAX_ITERATIONS": MAX_ITERATIONS, "LAST_STEP_M": LAST_STEP_M, "SCALED_LIMIT": SCALED_LIMIT}
         constants |= {"DEGREE": self._degree, "TEXELS": terms.shape[3]}
@@ -115,30 +115,6 @@ class GlPlanarSolver:
             self._texture = context.target((terms.shape[2] * terms.shape[3], 3 * warp_grid.rows), 4, "f4")
             self._texture.write(terms)
         self._inputs_of_eye = self._fixed_inputs()
-
-    def _terms(self) -> Float32Array:
-        """Return the coefficients of t, A and B at each point: (rows, 3, columns, texels of two terms each, 4)."""
-        display, see_through = self._display, self._see_through
-        box, pixel = display.modelled.box.select((2, 3)), self._warp_grid.panel_pixel()
-        held = display.modelled.held((0, 1), pixel.reshape(-1, 2))
-        nodes, solve = _interpolation(box, self._degree)
-        shown = [held(np.broadcast_to(node, (pixel.size // 2, 2))).reshape(pixel.shape) for node in nodes]
-        tangents = solve @ np.stack(shown, axis=-2)
-
-        def deviation(node: FloatArray) -> FloatArray:
-            # Tangents of the rays through the node: the terms continue smoothly beyond the display's box.
-            place, point = node, see_through.place.lift(node)
-            for _ in range(1 if display.place == see_through.place else _STEPS):
-                seen = np.einsum("...n,...no->...o", _products(box.scaled(place), self._degree), tangents)
-                place = display.place.carry(point, seen)
-            return see_through.modelled(np.concatenate([np.broadcast_to(node, seen.shape), seen], axis=-1))
-
-        nodes, solve = _interpolation(see_through.modelled.box.select((0, 1)), self._degree)
-        deviations = solve @ np.stack([deviation(node) for node in nodes], axis=-2)
-        terms = np.concatenate([tangents, deviations], axis=-1, dtype=np.float32)
-        # Two terms share a texel; t, A and B of a row of points fill one row of texels each.
-        paired = np.moveaxis(terms.reshape(*pixel.shape[:2], -1, 2, 3, 2), 4, 1)
-        return np.ascontiguousarray(paired).reshape(*paired.shape[:4], 4)
 
     def solve(self, viewpoint: FloatArray) -> GpuRayMap:
         """Solve a ray map in the shader; see `RayMapSolver.solve`."""
@@ -167,6 +143,30 @@ class GlPlanarSolver:
         rows[6, :3], rows[6, 3] = viewpoint, all(each.eye_box.contains(viewpoint, EYE_BOX_MARGIN) for each in models)
         rows[7, :2] = [model.place.height_of(viewpoint) for model in models]
         return rows
+
+
+def planar_terms(display: PlanarModel, see_through: PlanarModel, warp_grid: WarpGrid, degree: int) -> Float32Array:
+    """Return the coefficients of t, A and B at each point: (rows, 3, columns, texels of two terms each, 4)."""
+    box, pixel = display.modelled.box.select((2, 3)), warp_grid.panel_pixel()
+    held = display.modelled.held((0, 1), pixel.reshape(-1, 2))
+    nodes, solve = _interpolation(box, degree)
+    shown = [held(np.broadcast_to(node, (pixel.size // 2, 2))).reshape(pixel.shape) for node in nodes]
+    tangents = solve @ np.stack(shown, axis=-2)
+
+    def deviation(node: FloatArray) -> FloatArray:
+        # Tangents of the rays through the node: the terms continue smoothly beyond the display's box.
+        place, point = node, see_through.place.lift(node)
+        for _ in range(1 if display.place == see_through.place else _STEPS):
+            seen = np.einsum("...n,...no->...o", _products(box.scaled(place), degree), tangents)
+            place = display.place.carry(point, seen)
+        return see_through.modelled(np.concatenate([np.broadcast_to(node, seen.shape), seen], axis=-1))
+
+    nodes, solve = _interpolation(see_through.modelled.box.select((0, 1)), degree)
+    deviations = solve @ np.stack([deviation(node) for node in nodes], axis=-2)
+    terms = np.concatenate([tangents, deviations], axis=-1, dtype=np.float32)
+    # Two terms share a texel; t, A and B of a row of points fill one row of texels each.
+    paired = np.moveaxis(terms.reshape(*pixel.shape[:2], -1, 2, 3, 2), 4, 1)
+    return np.ascontiguousarray(paired).reshape(*paired.shape[:4], 4)
 
 
 def _interpolation(box: Box, degree: int) -> tuple[FloatArray, FloatArray]:
