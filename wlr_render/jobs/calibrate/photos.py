@@ -44,7 +44,7 @@ def calibrated(options: CalibrateOptions, *, progress: ProgressArgument = SILENT
 
     Raises:
         BadInputError: session.toml is faulty, too few photographs could be read, or the steps contradict each other.
-            The readings are kept, and the report says how far the calibration came.
+            The readings are kept, and the report shows how far the calibration got.
     """
     session = load_photo_session(Path(options.path))
     for eye in session.eyes:  # refuse a faulty prescription before the photographs are read
