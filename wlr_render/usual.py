@@ -15,7 +15,7 @@ class Size:
     """Size of one kind of error.
 
     Attributes:
-        value: in `unit`.
+        value: size in `unit`.
         unit: "m", "rad", "arcmin", "px" and so on; "1" for a ratio.
         source: source of the value: data sheets, our measurement, a publication or an assumption.
         log_sigma: standard deviation of the natural logarithm of the size between benches, for a prior of the size

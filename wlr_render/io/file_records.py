@@ -304,7 +304,7 @@ def record_keys(record: Any, place: Place | None = None, defaults: bool = False)
 
 @dataclass(frozen=True)
 class Records(Key):
-    """A tuple of records, each a table of an array of tables."""
+    """A tuple of records, stored as an array of tables."""
 
     record: Any = None
 

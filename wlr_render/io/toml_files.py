@@ -272,7 +272,7 @@ def read_toml(path: str | Path) -> Table:
     """Read a TOML file as a `Table`.
 
     Raises:
-        BadInputError: the file cannot be read or is not TOML; the sentence has the line.
+        BadInputError: the file cannot be read or is not TOML; the message states the line.
     """
     text = read_text(path, "a TOML file")
     with as_bad_input(path, "a TOML file", "correct it"):

@@ -152,7 +152,7 @@ class ScatterSums:
         return cls(part_of, used, count, square, ee, ey, ex, xx, xy, y, columns, part, mean, sigma)
 
     def of_columns(self, which: IntArray, mean: FloatArray | None = None, sigma: FloatArray | None = None) -> Self:
-        """Return the sums for some of the columns, with other priors if given, and for the carried ones."""
+        """Return the sums for some of the columns and the carried columns, with other priors if given."""
         last = len(self.mean) - self.carried
         whole = np.r_[which, last : len(self.mean)]
         mean, sigma = (

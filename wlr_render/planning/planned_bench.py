@@ -129,7 +129,7 @@ class PlannedBench:
         """Arcminutes per pixel of the panel, in its middle.
 
         Raises:
-            BadInputError: four pixels from the middle, in each direction, is not seen.
+            BadInputError: the eye does not see all pixels up to four pixels from the middle.
         """
         middle = 0.5 * np.array(self.truth.display.panel.size_px)
         pixel = middle + np.array([[-4.0, 0.0], [4.0, 0.0], [0.0, -4.0], [0.0, 4.0]])
