@@ -148,7 +148,7 @@ def test_a_mesh_file_alone_is_a_scene_one_metre_ahead(tmp_path: Path, box_glb: P
         (HEADER, "key 'object' is missing"),
         (HEADER + "ambiant = [0, 0, 0]\n" + BOX, "unknown key 'ambiant'; did you mean 'ambient'?"),
         (HEADER + BOX + "radius = 1\n", "number 1: unknown key 'radius'; the shape 'box' has size_m, colour"),
-        (HEADER + "[[object]]\nshape = 'teapot'\n", "'shape' is 'teapot'; it must be one of ball, box, dot_board, plane"),
+        (HEADER + "[[object]]\nshape = 'teapot'\n", "'shape' is 'teapot'; it must be one of ball, box"),
         (HEADER + "[[object]]\nname = 'x'\n", "needs either 'mesh', a file, or 'shape'"),
         (HEADER + BOX + "mesh = 'x.glb'\n", "needs either 'mesh', a file, or 'shape'"),
         (HEADER + "[[object]]\nmesh = 'gone.glb'\n", "number 1: 'mesh' is 'gone.glb', and there is no such file"),
