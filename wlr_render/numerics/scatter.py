@@ -39,7 +39,7 @@ class Scatter:
     Attributes:
         noise: (3,) ratio of each part's noise to the noise within its photographs.
         shift_um, turn_urad: (3,) standard deviations of a capture's motion in each part, per axis.
-        moved: (captures,) mask of captures that moved by far more.
+        moved: (captures,) mask of captures that moved far more than the others.
     """
 
     noise: FloatArray

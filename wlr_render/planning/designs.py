@@ -62,7 +62,7 @@ def _flat(unit: FloatArray) -> FloatArray:
 
 
 def offered(eye_box: EyeBox, reach: FloatArray, in_depth: bool) -> FloatArray:
-    """Return places (n, 3) to choose from, see `Design.unit`: in the middle plane, or at both depth ends."""
+    """Return places (n, 3) to choose from, see `Design.unit`: in the middle plane, or in the front and back planes."""
     ends = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2), axis=-1).reshape(-1, 2)
     flat = np.concatenate([spread(eye_box, reach, _OFFERED).unit, _flat(ends)])
     return np.concatenate([flat + [0.0, 0.0, z] for z in ((-1.0, 1.0) if in_depth else (0.0,))])

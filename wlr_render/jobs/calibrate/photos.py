@@ -71,7 +71,7 @@ def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
 
 
 def _save_refusal(refused: RefusedCalibrationError, session: PhotoSession, options: CalibrateOptions) -> None:
-    """Write the report of a refused calibration: its progress, and every exclusion."""
+    """Write the report of a refused calibration, with the completed steps and every exclusion."""
     folder, found, reading = output_folder(options.out), refused.found, refused.reading
     report = Report(
         f"Calibration of {session.device}, {' and '.join(session.eyes)} eye: refused",
