@@ -1,4 +1,4 @@
-"""The formats of `export`, by name."""
+"""The formats of `export` by their names."""
 
 from typing import Literal
 
@@ -21,5 +21,5 @@ FORMATS: tuple[Format, ...] = (
 
 
 def format_of(name: str) -> Format:
-    """Return the format with a name."""
+    """Return the format of a name."""
     return next(form for form in FORMATS if form.name == name)
