@@ -1,10 +1,10 @@
-// What cells.frag writes of a cell beside its paths.
+// Bounds of a cell with notes, as cells.frag writes them.
 
-const float COVERED = 2.0 * MISSING;  // the range of a cell that the next sharper picture fills
-const int STEP = 14;  // of binary exponents, more than those of any inverse depth
+const float COVERED = 2.0 * MISSING;  // range of a cell that the next sharper picture fills
+const int STEP = 14;  // step of binary exponents, larger than the exponent of any inverse depth
 
-// Bounds of a cell, together with the samples of its display pixels along each axis, 1 to MOST_SAMPLES = 4, and whether an
-// inset fills it: unchanged for 1 sample and no inset, else negative, and the larger the more there is to say.
+// Bounds of a cell, together with the samples of its display pixels along each axis, 1 to MOST_SAMPLES = 4, and whether
+// an inset fills it: unchanged for 1 sample and no inset, else negative, with a scale that encodes the notes.
 vec2 with_notes(vec2 range, float samples, bool is_filled)
 {
     int notes = int(clamp(samples, 1.0, MOST_SAMPLES)) - 1 + (is_filled ? 4 : 0);

@@ -3,26 +3,26 @@
 #include "texels.glsl"
 #include "ranges.glsl"
 #include "cell_notes.glsl"
-// For each point of a warp grid: where its ray appears in the image, the second differences of that, and the bounds of
-// the inverse depth for the cell of which it is the upper left corner. Channels lie one below the other.
+// For each point of a warp grid: the path of its ray in the image, second differences of the paths, and bounds of the
+// inverse depth for the cell to the lower right. Channels are stacked vertically.
 
 uniform sampler2D slope_offset[CHANNELS];
 uniform bool has_row_matrices;
-uniform sampler2D row_matrices;  // from the rays, for each row of the grid; three texels in each row
-uniform vec4 camera_matrix[3];   // from the rays, for all rows
-uniform vec2 size_px;  // of the image
+uniform sampler2D row_matrices;  // image from ray, for each row of the grid; three texels per row
+uniform vec4 camera_matrix[3];   // image from ray, for all rows
+uniform vec2 size_px;  // size of the image
 uniform vec2 display_px_per_cell;
 uniform bool is_inset;
 uniform bool has_inset;
-uniform sampler2D inset_ranges;  // of the next sharper picture
+uniform sampler2D inset_ranges;  // ranges of the next sharper picture
 
-layout(location = 0) out vec4 path;  // at infinity, shift; x = MISSING without a ray
+layout(location = 0) out vec4 path;  // position at infinity, shift; x = MISSING without a ray
 layout(location = 1) out vec4 bend;  // second differences along the rows and along the columns
-layout(location = 2) out vec4 mixed_bend_and_range;  // the range: see range_of_cell, with_notes
+layout(location = 2) out vec4 mixed_bend_and_range;  // for the range see range_of_cell, with_notes
 
 const int SEARCHES = 3, PARTS = 8;
-const float SHORT_PX = 4.0;  // paths of which parts would tell no more than the whole
-const float SLACK_PX = 6.0;  // reach of the depth's filter, and how far paths bulge within a cell
+const float SHORT_PX = 4.0;  // length of paths that are not worth splitting
+const float SLACK_PX = 6.0;  // reach of the depth filter, plus the bulge of paths within a cell
 
 vec4 path_at(int channel, ivec2 point)
 {
@@ -37,7 +37,7 @@ vec4 path_at(int channel, ivec2 point)
             matrix[k] = fetched(row_matrices, ivec2(k, point.y));
     vec4 found;
     bool forwards = project_ray(ray, matrix[0], matrix[1], matrix[2], found.xy, found.zw);
-    // By its bits: compilers may take isnan for false.
+    // Tested by its bits, because compilers may assume that isnan is false.
     bool known = forwards && all(notEqual(floatBitsToUint(found) & 0x7f800000u, uvec4(0x7f800000u)));
     return known ? found : vec4(MISSING, 0.0, 0.0, 0.0);
 }
@@ -47,7 +47,7 @@ bool is_known(vec4 one)
     return one.x < 0.5 * MISSING;
 }
 
-// Second difference along a step about the point, or where a neighbour is missing about those next to it.
+// Second difference along a step at the point; if a neighbour is missing, the mean at the adjacent points.
 vec2 second_difference(int channel, ivec2 point, ivec2 along)
 {
     vec4 line[5];
@@ -62,7 +62,7 @@ vec2 second_difference(int channel, ivec2 point, ivec2 along)
     return sum[1].z > 0.0 ? sum[1].xy : beside.xy / max(beside.z, 1.0);
 }
 
-// Mean of the mixed differences of the cells around the point that have all their corners.
+// Mean of the mixed differences of the complete cells around the point.
 vec2 mixed_difference(int channel, ivec2 point)
 {
     vec4 around[9];
@@ -78,7 +78,7 @@ vec2 mixed_difference(int channel, ivec2 point)
     return sum.xy / max(sum.z, 1.0);
 }
 
-// Bilinear samples of a display pixel along each axis that miss nothing of the image.
+// Bilinear samples of a display pixel along each axis that are needed to miss nothing of the image.
 float samples_per_axis(vec4 corner[4])
 {
     vec2 upper = corner[1].xy - corner[0].xy, lower = corner[3].xy - corner[2].xy;
@@ -88,7 +88,7 @@ float samples_per_axis(vec4 corner[4])
     return ceil(max(largest_stretch(first), largest_stretch(last)) / SPACING_PX);
 }
 
-// Far and near bound; the near one first where the cell is sampled directly, because they lie so close together.
+// Far and near bound; the near bound first if they are so close that the cell is sampled directly.
 vec2 range_of_cell(int channel, ivec2 point)
 {
     vec4 corner[4];
@@ -105,7 +105,7 @@ vec2 range_of_cell(int channel, ivec2 point)
     vec4 middle = 0.5 * (low + high), size = high - low;
     float px_per_inverse_depth = length(max(abs(low.zw), abs(high.zw)));
     vec2 within = range_of_image();
-    // A cell that shows nothing of an inset.
+    // The cell shows nothing of the inset.
     vec2 reach = within.y * max(abs(low.zw), abs(high.zw)) + SLACK_PX;
     if (is_inset && (any(lessThan(high.xy + reach, vec2(0.0))) || any(greaterThan(low.xy - reach, size_px))))
         return vec2(MISSING);
@@ -127,7 +127,7 @@ vec2 range_of_cell(int channel, ivec2 point)
     return with_notes(direct ? within.yx : within, samples_per_axis(corner), is_filled);
 }
 
-// Whether all that the cell may show lies inside the next sharper picture, which is drawn over this one.
+// Whether the cell can only show points inside the next sharper picture, which is drawn over this one.
 bool is_covered(ivec2 point)
 {
     bool covered = has_inset;

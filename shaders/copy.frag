@@ -1,10 +1,10 @@
 #version 410
 #include "texels.glsl"
-// A picture as it is, to a part of a target.
+// Copy a picture to a part of a target.
 
 uniform sampler2D image;
-uniform vec2 first_px;      // of the part
-uniform int turned_height;  // of the part, for a target whose rows run upwards; 0 for others
+uniform vec2 first_px;      // first pixel of the part
+uniform int turned_height;  // height of the part, for a target whose rows run upwards; 0 for others
 
 layout(location = 0) out vec4 colour;
 

@@ -1,5 +1,5 @@
 #version 410
-// One triangle over the whole target, on the far plane, without any vertex buffer.
+// One triangle over the whole target, on the far plane, without a vertex buffer.
 
 void main()
 {

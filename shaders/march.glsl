@@ -1,8 +1,9 @@
 // Intersect a ray with the depth of the intermediate image, texel by texel; warp/warp.py states the algorithm.
 //
-// Needs SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`, `size_px` and `per_texel`. One loop with
-// the same reads in each round: software renderers execute both sides of a branch. They may leave the loop for all
-// neighbours at once: so the variables of the result (meets, met, in_front) no longer change once a pixel has stopped.
+// Needs SURFACE_STEP, TILE, and the pixel shader's `inverse_depth`, `size_px` and `per_texel`. There is one loop with
+// the same reads in each iteration, because software renderers execute both sides of a branch. They may leave the loop
+// for all neighbours at once, so the variables of the result (meets, met, in_front) must not change once a pixel has
+// stopped.
 
 TEXTURE(3) tiles;  // smallest and largest inverse depth of TILE x TILE texels
 
@@ -27,14 +28,14 @@ float smooth_inverse_depth(vec2 pixel)
     return mix(mix(texels.w, texels.z, weight.x), mix(texels.x, texels.y, weight.x), weight.y);
 }
 
-// Whether two neighbours belong together: hardly a step, or one that opens less than half a pixel.
+// Whether two neighbours are of one surface: the step between them is small, or opens less than half a pixel.
 bool is_one_surface(float one, float other, float half_px)
 {
     return abs(one - other) <= max(SURFACE_STEP * max(one, other), half_px);
 }
 
-// Where to read colour near a pixel: among the four texels around it, those of another surface than the one at this
-// inverse depth take no part. A texel beside the surface takes part if it lies within half a pixel of it all the same.
+// Position at which to read colour near a pixel: of the four texels around it, texels of a surface other than the one
+// at this inverse depth are ignored, except a texel within half a pixel of the surface.
 vec2 place_on_surface(vec2 pixel, float met, float half_px)
 {
     vec2 base, weight;
@@ -51,20 +52,20 @@ vec2 place_on_surface(vec2 pixel, float met, float half_px)
     return base + 0.5 + (all_belong || largest == 0.0 ? weight : moved);
 }
 
-// The place that a ray shows, the inverse depth that is seen there, and the inverse depth that half a pixel stands for;
+// Find the position that a ray shows, the inverse depth seen there, and the inverse depth equivalent to half a pixel,
 // from the bounds of the inverse depth along its path.
 int march(vec2 at_infinity, vec2 shift, vec2 range, out vec2 pixel, out float seen_there, out float half_px)
 {
     float px_per_inverse_depth = max(length(shift), 1e-12), one_px = 1.0 / px_per_inverse_depth;
     vec2 nudge = -NUDGE_PX * one_px * shift;
-    vec2 ahead = vec2(lessThan(shift, vec2(0.0)));  // 1 where the path leads to larger coordinates
+    vec2 ahead = vec2(lessThan(shift, vec2(0.0)));  // 1 where coordinates grow along the path
     vec2 per_shift = (1.0 - 2.0 * ahead) / max(abs(shift), 1e-12);
     vec2 tiles_per_px = 1.0 / (float(TILE) * vec2(size_of(tiles)));
 
-    // The path within the image and a margin, whose border repeats: a very near texel may begin it far outside.
+    // The path inside the image and a margin in which the border repeats: a very near texel may start it far outside.
     vec2 from_first = (-MARGIN_PX - at_infinity) * per_shift, from_last = (size_px + MARGIN_PX - at_infinity) * per_shift;
     vec2 enters = max(from_first, from_last), leaves_image = min(from_first, from_last);
-    // Rounded bounds leave out none of the depths between them.
+    // Widened, so that rounded bounds leave out no depth between them.
     float last = range.x * (1.0 - 1e-6), far_end = max(last, max(leaves_image.x, leaves_image.y));
     float here = min(range.y * (1.0 + 1e-6), min(enters.x, enters.y));
     bool never_enters = here < far_end;
@@ -75,7 +76,7 @@ int march(vec2 at_infinity, vec2 shift, vec2 range, out vec2 pixel, out float se
         vec2 texel = floor(place), tile = floor(place / float(TILE));
         vec2 leaves = (texel + ahead - at_infinity) * per_shift;
         vec2 leaves_tile = ((tile + ahead) * float(TILE) - at_infinity) * per_shift;
-        // Rounding may put a border that the path has just crossed, or hardly approaches, behind it.
+        // By rounding, a border that the path has just crossed, or hardly approaches, may lie behind it.
         leaves = mix(leaves, vec2(here - one_px), greaterThanEqual(leaves, vec2(here)));
         leaves_tile = mix(leaves_tile, vec2(here - one_px), greaterThanEqual(leaves_tile, vec2(here)));
         float end = max(max(leaves.x, leaves.y), far_end), end_of_tile = max(max(leaves_tile.x, leaves_tile.y), far_end);
@@ -85,7 +86,7 @@ int march(vec2 at_infinity, vec2 shift, vec2 range, out vec2 pixel, out float se
         bool is_behind = seen > here;
         bool behind_tile = !in_front && bounds.x > here && is_one_surface(bounds.x, bounds.y, 0.5 * one_px);
         bool skips = bounds.y < end_of_tile || behind_tile;
-        // At its beginning the path is in front, or just outside the image, where it has met the border's surface.
+        // At its start the path is in front, or just outside the image, where it has met the border's surface.
         bool joins = before == UNKNOWN || is_one_surface(before, seen, 0.5 * one_px);
         meets = meets || searching && !skips && seen >= end && (!is_behind || in_front && joins);
         bool edge = !meets && !skips && is_behind && !joins;
@@ -95,7 +96,7 @@ int march(vec2 at_infinity, vec2 shift, vec2 range, out vec2 pixel, out float se
         here = meets ? here : min(skips ? end_of_tile : end, here * (1.0 - 1e-7));
         searching = !meets && here > far_end;
     } while (searching);
-    // Twice, then what a plane's steps converge to.
+    // Two steps, then the limit to which the steps converge on a plane.
     float second = smooth_inverse_depth(at_infinity + met * shift);
     float third = smooth_inverse_depth(at_infinity + second * shift);
     float first_step = second - met, second_step = third - second;

@@ -1,22 +1,22 @@
 #version 410
 #include "srgb.glsl"
-// A picture shrunk along one axis: each texel is the mean of the finer texels that it covers, in linear light, those at
-// its two ends by the share that it covers. Drivers' own mip levels leave out the last row or column of odd sides.
+// Shrink a picture along one axis: each texel is the mean, in linear light, of the finer texels that it covers,
+// weighted by the covered share. Drivers' mip levels leave out the last row or column of odd sides.
 
 uniform sampler2D finer;
-uniform int level;   // of the finer texture
-uniform ivec2 size;  // of what is shrunk, from the finer level's first texel
-uniform int count;   // texels of the result along the axis
+uniform int level;   // level of the finer texture
+uniform ivec2 size;  // size of the shrunk area, from the finer level's first texel
+uniform int count;   // number of texels of the result along the axis
 uniform bool along_x;
-uniform bool decodes;  // the finer texture holds sRGB codes that OpenGL does not decode
-uniform bool encodes;  // the result is written as sRGB codes
+uniform bool decodes;  // whether the finer texture holds sRGB codes that OpenGL does not decode
+uniform bool encodes;  // whether the result is written as sRGB codes
 
 layout(location = 0) out vec4 colour;
 
 void main()
 {
     ivec2 at = ivec2(gl_FragCoord.xy);
-    // In parts of a finer texel, which has `count` of them: whole numbers, so that no weight is rounded.
+    // In units of 1 / `count` of a finer texel: whole numbers, so that no weight is rounded.
     int parts = along_x ? size.x : size.y;
     int first = (along_x ? at.x : at.y) * parts, end = first + parts;
     colour = vec4(0.0);

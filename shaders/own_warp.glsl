@@ -1,13 +1,13 @@
-// Warp of an eye's picture to its panel, for a renderer of your own in Vulkan, Direct3D, Metal, WebGPU, OpenGL, OpenGL ES
-// or WebGL. A `WarpMesh` of wlr_render/warp/warp_mesh.py gives vertices, indices and `image_from_ray`.
+// Warp of an eye's picture to its panel, for your own renderer in Vulkan, Direct3D, Metal, WebGPU, OpenGL, OpenGL ES or
+// WebGL. A `WarpMesh` of wlr_render/warp/warp_mesh.py provides vertices, indices and `image_from_ray`.
 //
-// Compile it for four stages, each with one of these in front, after "#version 450" (Vulkan, SPIR-V), "420" (OpenGL), "310
-// es" or "300 es": "#define TILES_VERTEX_STAGE", "TILES_FRAGMENT_STAGE", "VERTEX_STAGE", "FRAGMENT_STAGE". For GLSL in
-// WebGPU define VULKAN and NO_GATHER, too.
-// 1. Once a picture: draw 3 vertices to an RG32F target of ceil(width / 8) x ceil(height / 8), the tiles.
-// 2. Once a frame: draw the mesh's triangles to a target of an sRGB format, with no culling and no depth test; in OpenGL
-//    with GL_FRAMEBUFFER_SRGB. With three colours draw three times, each with its own rays and a write mask.
-// The picture has an sRGB format too: light is filtered linearly, decoded by the sampler and encoded by the target.
+// Compile it for four stages, each with one of these definitions after "#version 450" (Vulkan, SPIR-V), "420" (OpenGL),
+// "310 es" or "300 es": "#define TILES_VERTEX_STAGE", "TILES_FRAGMENT_STAGE", "VERTEX_STAGE", "FRAGMENT_STAGE". For
+// GLSL in WebGPU, define VULKAN and NO_GATHER as well.
+// 1. Once per picture: draw 3 vertices to an RG32F target of ceil(width / 8) x ceil(height / 8), the tiles.
+// 2. Once per frame: draw the mesh's triangles to a target in an sRGB format, without culling and depth test; in OpenGL
+//    with GL_FRAMEBUFFER_SRGB. With three colours, draw three times, each with its own rays and a write mask.
+// The picture has an sRGB format too: the sampler decodes and filters linear light, and the target encodes it.
 // Written by release/own_warp.py from mesh_warp.glsl and what that includes.
 
 #define SEEN 0
@@ -34,11 +34,11 @@ layout(std140) uniform Warp {
 #define AT(number) layout(location = number)
 layout(std140, binding = 0) uniform Warp {
 #endif
-    vec4 image_from_ray[3];  // rows: of u depth, of v depth, of depth
+    vec4 image_from_ray[3];  // rows for u depth, v depth and depth
     vec4 clip_from_panel;  // scale, offset of panel_position: (2, -2, -1, 1) upright in OpenGL, (2, 2, -1, -1) in Vulkan
-    vec2 inverse_depth_of_0_and_1;  // 1/m of the depth buffer's 0 and 1: StoredDepth.inverse_of_0_and_1
+    vec2 inverse_depth_of_0_and_1;  // inverse depths of the depth buffer's 0 and 1, 1/m: StoredDepth.inverse_of_0_and_1
     float nothing;  // depth of the background: StoredDepth.nothing
-    float nearest;  // 1/m: the largest inverse depth in the picture, or 1 / near
+    float nearest;  // largest inverse depth in the picture, 1/m, or 1 / near
     vec3 background;  // linear light
     float opaque;  // 1 for a picture without alpha
     float most_samples_per_axis;  // WarpMesh.samples_per_axis
@@ -48,11 +48,11 @@ layout(std140, binding = 0) uniform Warp {
 layout(location = 0) in vec2 panel_position;
 layout(location = 1) in vec4 vertex_ray;
 AT(0) out vec4 ray;
-AT(1) out float has_ray;  // 1 where all three vertices have a ray
+AT(1) out float has_ray;  // 1 if all three vertices have a ray
 
 void main()
 {
-    // By bits, because compilers may assume that there is no NaN.
+    // Tested by its bits, because compilers may assume that NaN does not occur.
     bool missing = any(greaterThan(floatBitsToUint(vertex_ray) & 0x7fffffffu, uvec4(0x7f800000u)));
     ray = missing ? vec4(0.0) : vertex_ray;
     has_ray = missing ? 0.0 : 1.0;
@@ -68,15 +68,16 @@ void main()
 }
 #else
 
-// Projection and half pixel that the shaders share (docs/conventions.md, "Pixels" and "Rows").
+// Projection and half-pixel convention of all shaders (docs/conventions.md, "Pixels" and "Rows").
 //
-// Images lie in memory with their top row first, on the GPU as in numpy. OpenGL's first row is its lowest, so the
-// projection in scene.vert turns y over and nothing else has to: window row 0 is the image's top row, and gl_FragCoord.xy is the
-// pixel, (0, 0) at the outer corner of the top-left pixel, centres at +0.5.
+// Images are stored with their top row first, on the GPU as in numpy. OpenGL's first row is its lowest, so the
+// projection in scene.vert flips y, and nothing else is flipped: window row 0 is the image's top row, and
+// gl_FragCoord.xy is the pixel, (0, 0) at the outer corner of the top-left pixel, centres at +0.5.
 
-// Where a ray (a, b, c, d), which passes through (c, d, 0) with tangents (a, b) in some camera frame, appears in an image:
-// its point at inverse depth w at at_infinity + w shift. False if it does not lead forwards there. The rows of the image's
-// camera matrix give u depth, v depth and depth of a point (x, y, z, 1) of the ray's frame.
+// Project a ray (a, b, c, d), which passes through (c, d, 0) with tangents (a, b) in some camera frame, into an image:
+// its point at inverse depth w appears at at_infinity + w shift. False if the ray does not point forwards in the
+// image's frame. The rows of the image's camera matrix give u depth, v depth and depth of a point (x, y, z, 1) of the
+// ray's frame.
 bool project_ray(vec4 ray, vec4 row_u, vec4 row_v, vec4 row_depth, out vec2 at_infinity, out vec2 shift)
 {
     float depth = dot(row_depth.xy, ray.xy) - row_depth.z;
@@ -87,7 +88,7 @@ bool project_ray(vec4 ray, vec4 row_u, vec4 row_v, vec4 row_depth, out vec2 at_i
     return depth > 0.0;
 }
 
-// Largest singular value: image pixels per display pixel in the direction where they are most.
+// Largest singular value: image pixels per display pixel, in the direction where their number is largest.
 float largest_stretch(mat2 image_by_display)
 {
     float squares = dot(image_by_display[0], image_by_display[0]) + dot(image_by_display[1], image_by_display[1]);
@@ -95,16 +96,17 @@ float largest_stretch(mat2 image_by_display)
     return sqrt(0.5 * (squares + sqrt(max(squares * squares - 4.0 * area * area, 0.0))));
 }
 
-// The four texels around a pixel position: the upper left one is `base`, `weight` the share of the right, lower ones.
+// The four texels around a pixel position: `base` is the upper left texel, `weight` the share of the right, lower
+// texels.
 void bilinear_taps(vec2 pixel, out vec2 base, out vec2 weight)
 {
     base = floor(pixel - 0.5);
     weight = pixel - 0.5 - base;
 }
 
-// How the warp and the passes before it read textures: targets that lack one of these have another path here.
+// Texture reads of the warp and the passes before it, with alternatives for targets that lack one of the functions.
 
-// Vulkan, Metal, Direct3D and WebGPU have textures apart from samplers.
+// Vulkan, Metal, Direct3D and WebGPU separate textures and samplers.
 #ifdef VULKAN
 #define IMAGE texture2D
 #define READ(image, kind) sampler2D(image, kind)
@@ -114,7 +116,7 @@ layout(binding = 5) uniform sampler nearest_texel;   // nearest, clamped to the 
 #define IMAGE sampler2D
 #define READ(image, kind) image
 #endif
-// OpenGL 4.1 and WebGL 2 have no numbers of bindings in a shader's text.
+// OpenGL 4.1 and WebGL 2 do not allow binding numbers in a shader's text.
 #if defined(VULKAN) || __VERSION__ >= 420 || __VERSION__ == 310 || __VERSION__ == 320
 #define TEXTURE(number) layout(binding = number) uniform IMAGE
 #else
@@ -131,10 +133,10 @@ vec4 fetched(IMAGE image, ivec2 texel)
     return texelFetch(READ(image, nearest_texel), texel, 0);
 }
 
-// The four texels around a corner between them, of the first component: lower left, lower right, upper right, upper left.
+// First components of the four texels around a shared corner: lower left, lower right, upper right, upper left.
 vec4 gathered(IMAGE image, vec2 shared_corner)
 {
-#ifdef CORNERS  // a texture of one texel more across and down, with the four texels around each corner: one read for four
+#ifdef CORNERS  // a texture with the four texels around each corner, one texel larger: one read, not four
     vec2 count = vec2(size_of(CORNERS));
     return textureLod(READ(CORNERS, nearest_texel), (round(shared_corner * (count - 1.0)) + 0.5) / count, 0.0);
 #elif __VERSION__ == 300 || defined(NO_GATHER)  // WebGL 2, and GLSL in WebGPU
@@ -147,19 +149,19 @@ vec4 gathered(IMAGE image, vec2 shared_corner)
 #endif
 }
 
-// By the image's own filter, from its finest level: outside of loops and branches too, where no derivatives are defined.
+// Sample with the image's filter from its finest level, also in loops and branches, where derivatives are undefined.
 vec4 sampled(IMAGE image, vec2 place)
 {
     return textureLod(READ(image, between_texels), place, 0.0);
 }
 
-// The same for a texel's centre, of textures that need no filter.
+// Sample the nearest texel, without a filter.
 vec4 nearest_sampled(IMAGE image, vec2 place)
 {
     return textureLod(READ(image, nearest_texel), place, 0.0);
 }
 
-// Filtered over a pixel with these sides. Not by textureGrad, which ends LLVM 15 in compute shaders of Mesa.
+// Sample filtered over a pixel with these sides; textureGrad crashes LLVM 15 in Mesa's compute shaders.
 vec4 sampled_over(IMAGE image, vec2 place, vec2 across, vec2 down)
 {
     vec2 size = vec2(size_of(image)), right = across * size, below = down * size;
@@ -168,7 +170,7 @@ vec4 sampled_over(IMAGE image, vec2 place, vec2 across, vec2 down)
 
 #define INVERSE_DEPTHS inverse_depths
 
-// 1/m of the values of a depth buffer.
+// Inverse depths, 1/m, of the values of a depth buffer.
 vec4 inverse_depths(vec4 stored)
 {
     vec4 between = (1.0 - stored) * inverse_depth_of_0_and_1.x + stored * inverse_depth_of_0_and_1.y;
@@ -179,12 +181,12 @@ vec4 inverse_depths(vec4 stored)
 TEXTURE(2) depth;
 layout(location = 0) out vec2 range;
 
-// The smallest and the largest value in the tile of an image at a pixel of the tiles; beyond its border the image repeats.
+// Smallest and largest value of an image in the tile at a pixel of the tiles; beyond the border the image repeats.
 vec2 range_of_tile(IMAGE values, vec2 tile)
 {
     vec2 per_texel = 1.0 / vec2(size_of(values)), first = floor(tile) * float(TILE) + 1.0;
     vec4 low = INVERSE_DEPTHS(gathered(values, first * per_texel)), high = low;
-    // Unrolled: a loop whose ends depend on the image takes software renderers twice as long.
+    // Unrolled, because a loop whose bounds depend on the image takes twice as long in software renderers.
     for (int k = 1; k < TILE * TILE / 4; ++k) {
         vec2 shared_corner = first + 2.0 * vec2(k % (TILE / 2), k / (TILE / 2));
         vec4 four = INVERSE_DEPTHS(gathered(values, shared_corner * per_texel));
@@ -203,7 +205,7 @@ AT(0) in vec4 ray;
 AT(1) in float has_ray;
 layout(location = 0) out vec4 colour;
 
-// A ray's own place and path stand for those that the compositor interpolates between the points of a coarser grid.
+// Each ray has its own position and path, which the compositor interpolates between the points of a coarser grid.
 const bool is_inset = false, is_backdrop = false, is_needed = true;
 const float filled = 0.0, nearest_shown = MISSING;
 const vec4 widest_from_inset = vec4(1.0, 1.0, 0.0, 0.0);
@@ -214,7 +216,7 @@ bool is_direct;
 float known[1];
 vec4 path[1];
 vec4 bend[1];
-vec4 sides;  // of a display pixel in the picture
+vec4 sides;  // sides of a display pixel in the picture
 vec2 mixed_bend[1];
 
 void sides_of_pixel(const int channel, out vec2 across, out vec2 down)
@@ -224,25 +226,26 @@ void sides_of_pixel(const int channel, out vec2 across, out vec2 down)
 }
 
 #define NOWHERE (-1.0)
-// What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.
+// The colour of a display pixel: the intermediate image's colour where the pixel's bent ray meets it.
 //
-// warp.frag and warp.comp run it for each pixel. They have before it, for its place in a cell of the warp grid: grid_place,
-// cell, range, samples_per_axis, is_direct, filled, nearest_shown, is_backdrop, is_needed, and with UNIFORMITY panel_place;
-// for each channel: path, bend, mixed_bend, known, and the function sides_of_pixel, which gives the sides of a display
-// pixel in the image.
+// warp.frag and warp.comp run it for each pixel. Before including it they define, for the pixel's position in a cell of
+// the warp grid: grid_place, cell, range, samples_per_axis, is_direct, filled, nearest_shown, is_backdrop, is_needed,
+// and with UNIFORMITY panel_place; for each channel: path, bend, mixed_bend, known; and the function sides_of_pixel,
+// which returns the sides of a display pixel in the image.
 //
-// Written for software renderers too: a texture read at normalised coordinates costs them less than a fetch.
+// It is written for software renderers too, in which a texture read at normalised coordinates costs less than a fetch.
 
-TEXTURE(1) picture;  // gives linear light
+TEXTURE(1) picture;  // samples are linear light
 TEXTURE(2) inverse_depth;
 
-vec2 size_px, per_texel;  // of the image
+vec2 size_px, per_texel;  // size of the image, and its inverse
 
 // Intersect a ray with the depth of the intermediate image, texel by texel; warp/warp.py states the algorithm.
 //
-// Needs SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`, `size_px` and `per_texel`. One loop with
-// the same reads in each round: software renderers execute both sides of a branch. They may leave the loop for all
-// neighbours at once: so the variables of the result (meets, met, in_front) no longer change once a pixel has stopped.
+// Needs SURFACE_STEP, TILE, and the pixel shader's `inverse_depth`, `size_px` and `per_texel`. There is one loop with
+// the same reads in each iteration, because software renderers execute both sides of a branch. They may leave the loop
+// for all neighbours at once, so the variables of the result (meets, met, in_front) must not change once a pixel has
+// stopped.
 
 TEXTURE(3) tiles;  // smallest and largest inverse depth of TILE x TILE texels
 
@@ -267,14 +270,14 @@ float smooth_inverse_depth(vec2 pixel)
     return mix(mix(texels.w, texels.z, weight.x), mix(texels.x, texels.y, weight.x), weight.y);
 }
 
-// Whether two neighbours belong together: hardly a step, or one that opens less than half a pixel.
+// Whether two neighbours are of one surface: the step between them is small, or opens less than half a pixel.
 bool is_one_surface(float one, float other, float half_px)
 {
     return abs(one - other) <= max(SURFACE_STEP * max(one, other), half_px);
 }
 
-// Where to read colour near a pixel: among the four texels around it, those of another surface than the one at this
-// inverse depth take no part. A texel beside the surface takes part if it lies within half a pixel of it all the same.
+// Position at which to read colour near a pixel: of the four texels around it, texels of a surface other than the one
+// at this inverse depth are ignored, except a texel within half a pixel of the surface.
 vec2 place_on_surface(vec2 pixel, float met, float half_px)
 {
     vec2 base, weight;
@@ -291,20 +294,20 @@ vec2 place_on_surface(vec2 pixel, float met, float half_px)
     return base + 0.5 + (all_belong || largest == 0.0 ? weight : moved);
 }
 
-// The place that a ray shows, the inverse depth that is seen there, and the inverse depth that half a pixel stands for;
+// Find the position that a ray shows, the inverse depth seen there, and the inverse depth equivalent to half a pixel,
 // from the bounds of the inverse depth along its path.
 int march(vec2 at_infinity, vec2 shift, vec2 range, out vec2 pixel, out float seen_there, out float half_px)
 {
     float px_per_inverse_depth = max(length(shift), 1e-12), one_px = 1.0 / px_per_inverse_depth;
     vec2 nudge = -NUDGE_PX * one_px * shift;
-    vec2 ahead = vec2(lessThan(shift, vec2(0.0)));  // 1 where the path leads to larger coordinates
+    vec2 ahead = vec2(lessThan(shift, vec2(0.0)));  // 1 where coordinates grow along the path
     vec2 per_shift = (1.0 - 2.0 * ahead) / max(abs(shift), 1e-12);
     vec2 tiles_per_px = 1.0 / (float(TILE) * vec2(size_of(tiles)));
 
-    // The path within the image and a margin, whose border repeats: a very near texel may begin it far outside.
+    // The path inside the image and a margin in which the border repeats: a very near texel may start it far outside.
     vec2 from_first = (-MARGIN_PX - at_infinity) * per_shift, from_last = (size_px + MARGIN_PX - at_infinity) * per_shift;
     vec2 enters = max(from_first, from_last), leaves_image = min(from_first, from_last);
-    // Rounded bounds leave out none of the depths between them.
+    // Widened, so that rounded bounds leave out no depth between them.
     float last = range.x * (1.0 - 1e-6), far_end = max(last, max(leaves_image.x, leaves_image.y));
     float here = min(range.y * (1.0 + 1e-6), min(enters.x, enters.y));
     bool never_enters = here < far_end;
@@ -315,7 +318,7 @@ int march(vec2 at_infinity, vec2 shift, vec2 range, out vec2 pixel, out float se
         vec2 texel = floor(place), tile = floor(place / float(TILE));
         vec2 leaves = (texel + ahead - at_infinity) * per_shift;
         vec2 leaves_tile = ((tile + ahead) * float(TILE) - at_infinity) * per_shift;
-        // Rounding may put a border that the path has just crossed, or hardly approaches, behind it.
+        // By rounding, a border that the path has just crossed, or hardly approaches, may lie behind it.
         leaves = mix(leaves, vec2(here - one_px), greaterThanEqual(leaves, vec2(here)));
         leaves_tile = mix(leaves_tile, vec2(here - one_px), greaterThanEqual(leaves_tile, vec2(here)));
         float end = max(max(leaves.x, leaves.y), far_end), end_of_tile = max(max(leaves_tile.x, leaves_tile.y), far_end);
@@ -325,7 +328,7 @@ int march(vec2 at_infinity, vec2 shift, vec2 range, out vec2 pixel, out float se
         bool is_behind = seen > here;
         bool behind_tile = !in_front && bounds.x > here && is_one_surface(bounds.x, bounds.y, 0.5 * one_px);
         bool skips = bounds.y < end_of_tile || behind_tile;
-        // At its beginning the path is in front, or just outside the image, where it has met the border's surface.
+        // At its start the path is in front, or just outside the image, where it has met the border's surface.
         bool joins = before == UNKNOWN || is_one_surface(before, seen, 0.5 * one_px);
         meets = meets || searching && !skips && seen >= end && (!is_behind || in_front && joins);
         bool edge = !meets && !skips && is_behind && !joins;
@@ -335,7 +338,7 @@ int march(vec2 at_infinity, vec2 shift, vec2 range, out vec2 pixel, out float se
         here = meets ? here : min(skips ? end_of_tile : end, here * (1.0 - 1e-7));
         searching = !meets && here > far_end;
     } while (searching);
-    // Twice, then what a plane's steps converge to.
+    // Two steps, then the limit to which the steps converge on a plane.
     float second = smooth_inverse_depth(at_infinity + met * shift);
     float third = smooth_inverse_depth(at_infinity + second * shift);
     float first_step = second - met, second_step = third - second;
@@ -350,7 +353,7 @@ int march(vec2 at_infinity, vec2 shift, vec2 range, out vec2 pixel, out float se
     return meets ? SEEN : DISOCCLUDED;
 }
 
-// What linear interpolation over a triangle misses of a quadratic, from its second differences between grid points.
+// Difference of a quadratic from its linear interpolation over a triangle, by second differences between grid points.
 vec2 missed_by_triangles(int channel)
 {
     vec2 place = grid_place - cell;
@@ -365,10 +368,10 @@ vec4 light_at(vec2 pixel, float inverse, float half_px)
     return sampled(picture, place * per_texel);
 }
 
-// The mean over a display pixel, whose sides appear in the image as `across` and `down`.
+// Mean light over a display pixel with sides `across` and `down` in the image.
 vec4 filtered_light(vec2 pixel, vec2 across, vec2 down, float inverse, float half_px)
 {
-    // Tested at its end: software renderers run one round too many of a loop that is tested at its head.
+    // The loop is tested at its end: software renderers run one extra iteration of a loop that is tested at its head.
     vec4 sum = vec4(0.0);
     float i = 0.0, count = samples_per_axis * samples_per_axis;
     do {
@@ -390,7 +393,7 @@ float alpha = 0.0;
 int worst = SEEN;
 vec2 seen_at = vec2(0.0);
 
-// Called with constants: a loop that is not unrolled would index the interpolants at run time.
+// Called with constants, because a loop that is not unrolled would index the interpolants at run time.
 void add_channel(const int channel)
 {
     bool lost = known[channel] == 0.0;
@@ -400,7 +403,7 @@ void add_channel(const int channel)
     float inverse = 0.0, half_px = 0.0;
     int status = SEEN;
     if (is_direct) {
-        // All that the image shows along the path lies within DIRECT_PX.
+        // All surfaces of the image along the path lie within DIRECT_PX.
         vec2 nearby = at_infinity + 0.5 * (range.x + range.y) * shift;
         pixel = at_infinity + inverse_depth_at(nearby) * shift;
     } else {
@@ -409,7 +412,7 @@ void add_channel(const int channel)
     }
     float margin = is_inset ? 0.5 : 0.0;
     bool inside = all(greaterThanEqual(pixel, vec2(margin))) && all(lessThanEqual(pixel, size_px - margin));
-    inside = inside || filled == 1.0;  // never a hole, whatever the depths
+    inside = inside || filled == 1.0;  // never a hole, whatever the depths are
     status = lost ? NO_RAY : (inside ? status : OUTSIDE);
     bool found = status <= DISOCCLUDED;
 
@@ -424,7 +427,8 @@ void add_channel(const int channel)
     seen_at = channel == CHANNELS / 2 ? (found ? pixel : vec2(NOWHERE)) : seen_at;
 }
 
-// Whether the pixel is drawn: not where the wider picture of an inset or that in front of a backdrop is there already.
+// Shade the pixel; false if it is not drawn, because the wider picture around an inset, or the picture in front of a
+// backdrop, is already there.
 bool shade()
 {
     size_px = vec2(size_of(picture));
@@ -445,7 +449,7 @@ void main()
     mixed_bend[0] = vec2(0.0);
     sides = vec4(dFdx(at_infinity), dFdy(at_infinity));
     samples_per_axis = clamp(ceil(largest_stretch(mat2(sides.xy, sides.zw)) / SPACING_PX), 1.0, most_samples_per_axis);
-#ifdef WIDE_TILES  // a texture of the bounds of each tile and of two tiles around it: they hold for shorter paths
+#ifdef WIDE_TILES  // texture with the bounds of each tile and of two tiles around it, valid for shorter paths
     vec2 middle = (at_infinity + 0.5 * nearest * shift) / (float(TILE) * vec2(size_of(WIDE_TILES)));
     range = length(shift) * nearest <= 4.0 * float(TILE) ? nearest_sampled(WIDE_TILES, middle).xy : vec2(0.0, nearest);
 #else

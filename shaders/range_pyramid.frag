@@ -1,18 +1,18 @@
 #version 410
 #include "texels.glsl"
-// The pyramid of smallest and largest values that ranges.glsl reads, from those of the tiles.
+// The pyramid of smallest and largest values that ranges.glsl reads, from the tiles.
 //
-// Levels lie side by side, with n, n / 2, ... 2 texels along each axis; n is the first of 4, 8, 16, ... of which two cover
-// the tiles. A place holds the bounds of the four texels around its upper left corner, so that one read gets
-// them. Tiles beyond the image repeat its last ones. The finest level's texels cover two tiles along each axis; those
-// of coarse levels cover whole large tiles.
+// Levels lie side by side, with n, n / 2, ... 2 texels along each axis; n is the smallest of 4, 8, 16, ... for which 2
+// n covers the tiles. A texel holds the bounds of the four texels around its upper left corner, so that one read gets
+// all four. Tiles beyond the image repeat the last tiles. The finest level's texels cover two tiles along each axis;
+// texels of coarse levels cover whole large tiles.
 
 uniform sampler2D tiles;
-uniform sampler2D large_tiles;  // of TILE x TILE tiles; the image itself while these are made
+uniform sampler2D large_tiles;  // ranges of TILE x TILE tiles; the image itself while these are drawn
 
 layout(location = 0) out vec2 range;
 
-// Bounds of `count` tiles along each axis on either side of a corner, counted in them.
+// Bounds of `count` tiles along each axis on either side of a corner, which is counted in tiles.
 vec2 range_of(sampler2D tiles, ivec2 corner, int count)
 {
     ivec2 size = textureSize(tiles, 0), first = clamp((corner - 1) * count, ivec2(0), size - 1);
@@ -33,7 +33,7 @@ vec2 range_of(sampler2D tiles, ivec2 corner, int count)
 void main()
 {
     ivec2 place = ivec2(gl_FragCoord.xy);
-    // A uniform in place of the sizes would cost two calls of OpenGL in each pass.
+    // A uniform in place of the sizes would cost two OpenGL calls per pass.
     ivec2 size = textureSize(tiles, 0);
     if (any(greaterThan(textureSize(large_tiles, 0), size))) {
         range = range_of(tiles, 2 * place + 1, TILE / 2);

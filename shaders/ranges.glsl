@@ -1,11 +1,11 @@
-// Bounds of the inverse depth along a bundle of paths, from a pyramid of the image's smallest and largest ones.
+// Bounds of the inverse depth along a bundle of paths, from a pyramid of the image's smallest and largest values.
 //
 // Needs TILE and SURFACE_STEP.
 
-const float FINEST_PX = 2.0 * float(TILE);  // side of what a texel of the finest level covers
+const float FINEST_PX = 2.0 * float(TILE);  // side of the area that a texel of the finest level covers
 uniform sampler2D ranges;  // see range_pyramid.frag
 
-// Bounds of the four texels of a level around one of its corners, counted from the image's upper left one.
+// Bounds of the four texels of a level around a corner, which is counted from the image's upper left corner.
 vec2 range_at(vec2 corner, float finest_per_texel, vec2 size)
 {
     float left = 2.0 * size.y * (1.0 - 1.0 / finest_per_texel);
@@ -19,7 +19,7 @@ vec2 range_of_image()
     return range_at(vec2(1.0), 0.5 * size.y, size);
 }
 
-// Bounds within a square of this side around a position, from 4 x 4 texels of a level: of at most 2.7 times that side.
+// Bounds within a square of this side around a position, from 4 x 4 texels of a level, at most 2.7 times as wide.
 vec2 range_around(vec2 middle, float side_px)
 {
     vec2 size = vec2(textureSize(ranges, 0));
@@ -34,8 +34,9 @@ vec2 range_around(vec2 middle, float side_px)
     return seen;
 }
 
-// Bounds of what the image shows along the part `within` (near end y, far end x) of a bundle of paths of this width. A
-// ray in front of everything at the near end, and behind it at the far end, still is at the new ends.
+// Bounds of the image's surfaces along the part `within` (near end y, far end x) of a bundle of paths of this width. A
+// ray that is in front of everything at the near end, and behind everything at the far end, still is so at the new
+// ends.
 vec2 range_along(vec2 at_infinity, vec2 shift, vec2 within, float width_px, vec2 size_px)
 {
     vec2 middle = clamp(at_infinity + 0.5 * (within.x + within.y) * shift, vec2(0.0), size_px);
@@ -49,9 +50,9 @@ vec2 narrowed(vec2 at_infinity, vec2 shift, vec2 within, float width_px, vec2 si
     return vec2(max(within.x, seen.x), max(max(within.x, seen.x), min(within.y, seen.y)));
 }
 
-// `within` without what lies before the first and behind the last of its equal parts in which a ray may meet something:
-// in the others it is in front of all that the image shows there, or behind it. Nor is anything searched behind a part
-// in which all rays must meet one surface, because they are in front of it at the near end and behind it at the far end.
+// `within`, cut to its equal parts from the first to the last in which a ray may meet something: in other parts the ray
+// is in front of all the image's surfaces, or behind them. The search ends at a part in which all rays must meet one
+// surface, because they are in front of it at the near end and behind it at the far end.
 vec2 searched(vec2 at_infinity, vec2 shift, vec2 within, int parts, float width_px, vec2 size_px)
 {
     vec2 found = within;

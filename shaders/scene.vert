@@ -22,7 +22,7 @@ void main()
     normal_in_camera = normalize(camera_from_mesh_normal * normal);
     texture_uv = uv;
     interpolated_colour = vertex_colour;
-    // The camera looks along -z; its far plane is at infinity. The sign of y puts the top row first in memory.
+    // The camera looks along -z; its far plane is at infinity. The sign of y makes the top row first in memory.
     float depth = -point_in_camera.z;
     vec2 pixel_times_depth = lens.xy * vec2(point_in_camera.x, -point_in_camera.y) + lens.zw * depth;
     gl_Position = vec4(2.0 * pixel_times_depth / size_px - depth, depth - 2.0 * near, depth);

@@ -1,12 +1,12 @@
 #version 410
 #include "texels.glsl"
-// The world ray of each point of a grid on the panel under a planar bundle; warp/gl_ray_maps.py has the words.
+// The world ray of each point of a grid on the panel, for planar models; warp/gl_ray_maps.py explains the terms.
 
-uniform sampler2D terms;  // coefficients at each point: rows of t, A and B, two terms in a texel, the highest powers first
-// All other inputs in one array, which one call of OpenGL writes: several eyes share the program.
+uniform sampler2D terms;  // coefficients at each point: rows of t, A and B, two terms per texel, highest powers first
+// All other inputs are in one array, which one OpenGL call writes: several eyes share the program.
 uniform vec4 inputs_of_eye[11];
-vec4 display_box[2] = vec4[](inputs_of_eye[0], inputs_of_eye[1]);    // centre of (u, v, x, y), and what one of them is in scaled units
-vec4 deviation_box[2] = vec4[](inputs_of_eye[2], inputs_of_eye[3]);  // the same of (x, y, tx, ty)
+vec4 display_box[2] = vec4[](inputs_of_eye[0], inputs_of_eye[1]);    // centre of (u, v, x, y), scaled units per unit
+vec4 deviation_box[2] = vec4[](inputs_of_eye[2], inputs_of_eye[3]);  // the same for (x, y, tx, ty)
 vec2 first_px = inputs_of_eye[4].xy;  // panel position of the first point
 vec2 step_px = inputs_of_eye[4].zw;
 vec2 display_plane_slope = inputs_of_eye[5].xy;  // rise of the base plane's z per metre of x and y
@@ -29,13 +29,13 @@ struct Root {
     bool solved;
 };
 
-// Depth along -z at which a ray from the viewpoint meets the plane, over the viewpoint's height over it.
+// Depth along -z at which a ray from the viewpoint meets the plane, divided by the viewpoint's height over the plane.
 float depth_per_height(vec2 plane_slope, vec2 tangents)
 {
     return 1.0 / (1.0 + dot(plane_slope, tangents));
 }
 
-// Derivative by the tangents of the place on the display's base plane.
+// Derivative of the position on the display's base plane by the tangents.
 mat2 place_by_tangents(vec2 tangents)
 {
     float per_height = depth_per_height(display_plane_slope, tangents);
@@ -47,7 +47,7 @@ vec2 place_on_display_plane(vec2 tangents)
     return viewpoint.xy + behind_display_plane * depth_per_height(display_plane_slope, tangents) * tangents;
 }
 
-// t, A or B at a scaled place, and its derivatives: terms x^i y^j with i + j <= DEGREE, continued to first order outside.
+// t, A or B at a scaled position, and its derivatives: terms x^i y^j with i + j <= DEGREE, linear outside the box.
 vec2 polynomial(int row_of_point, vec2 scaled, out mat2 slope)
 {
     vec2 s = clamp(scaled, -SCALED_LIMIT, SCALED_LIMIT);
@@ -73,11 +73,11 @@ vec2 polynomial(int row_of_point, vec2 scaled, out mat2 slope)
     return value;
 }
 
-// Newton on p~ - viewpoint_xy - s t(pixel, p~) from the viewpoint; steps that do not shrink the residual are halved. The
-// last step is short enough for t to follow its slope, so that it costs no evaluation.
+// Newton's method on p~ - viewpoint_xy - s t(pixel, p~) from the viewpoint; steps that do not shrink the residual are
+// halved. Over the last step t is practically linear, so that no further evaluation is needed.
 //
-// The loop tests at its head: left from within or at its end, llvmpipe would let a pixel go on with some values of the
-// turn in which it left and others of the turn in which the last of its neighbours did.
+// The loop is tested at its head: with an exit inside or at its end, llvmpipe would leave a pixel with some values from
+// its own last iteration and others from the last iteration of its neighbours.
 Root solve()
 {
     vec2 base = place_on_display_plane(vec2(0.0)), advance = vec2(0.0);
@@ -114,7 +114,7 @@ void main()
     vec4 scaled = (inputs - deviation_box[0]) * deviation_box[1];
     mat2 unused;
     vec4 bent = vec4(polynomial(1, scaled.xy, unused), polynomial(2, scaled.xy, unused));
-    // Where the ray, taken straight back, passes the viewpoint's z: B - s A beside the viewpoint.
+    // The straight continuation of the ray passes the viewpoint's z at the offset B - s A from the viewpoint.
     vec3 offset = camera_from_device * vec3(bent.zw - depth * bent.xy, 0.0);
     vec3 direction = camera_from_device * vec3(root.tangents + bent.xy, -1.0);
     vec2 tangents = direction.xy / -direction.z;

@@ -9,7 +9,7 @@ vec3 srgb_of_linear(vec3 linear)
     return mix(curved, 12.92 * c, lessThanEqual(c, vec3(0.0031308)));
 }
 
-// The inverse, exactly; codes beyond 0..1 are clipped.
+// The exact inverse; codes outside 0..1 are clipped.
 vec3 linear_of_srgb(vec3 code)
 {
     vec3 c = clamp(code, 0.0, 1.0);

@@ -1,6 +1,6 @@
-// How the warp and the passes before it read textures: targets that lack one of these have another path here.
+// Texture reads of the warp and the passes before it, with alternatives for targets that lack one of the functions.
 
-// Vulkan, Metal, Direct3D and WebGPU have textures apart from samplers.
+// Vulkan, Metal, Direct3D and WebGPU separate textures and samplers.
 #ifdef VULKAN
 #define IMAGE texture2D
 #define READ(image, kind) sampler2D(image, kind)
@@ -10,7 +10,7 @@ layout(binding = 5) uniform sampler nearest_texel;   // nearest, clamped to the 
 #define IMAGE sampler2D
 #define READ(image, kind) image
 #endif
-// OpenGL 4.1 and WebGL 2 have no numbers of bindings in a shader's text.
+// OpenGL 4.1 and WebGL 2 do not allow binding numbers in a shader's text.
 #if defined(VULKAN) || __VERSION__ >= 420 || __VERSION__ == 310 || __VERSION__ == 320
 #define TEXTURE(number) layout(binding = number) uniform IMAGE
 #else
@@ -27,10 +27,10 @@ vec4 fetched(IMAGE image, ivec2 texel)
     return texelFetch(READ(image, nearest_texel), texel, 0);
 }
 
-// The four texels around a corner between them, of the first component: lower left, lower right, upper right, upper left.
+// First components of the four texels around a shared corner: lower left, lower right, upper right, upper left.
 vec4 gathered(IMAGE image, vec2 shared_corner)
 {
-#ifdef CORNERS  // a texture of one texel more across and down, with the four texels around each corner: one read for four
+#ifdef CORNERS  // a texture with the four texels around each corner, one texel larger: one read, not four
     vec2 count = vec2(size_of(CORNERS));
     return textureLod(READ(CORNERS, nearest_texel), (round(shared_corner * (count - 1.0)) + 0.5) / count, 0.0);
 #elif __VERSION__ == 300 || defined(NO_GATHER)  // WebGL 2, and GLSL in WebGPU
@@ -43,19 +43,19 @@ vec4 gathered(IMAGE image, vec2 shared_corner)
 #endif
 }
 
-// By the image's own filter, from its finest level: outside of loops and branches too, where no derivatives are defined.
+// Sample with the image's filter from its finest level, also in loops and branches, where derivatives are undefined.
 vec4 sampled(IMAGE image, vec2 place)
 {
     return textureLod(READ(image, between_texels), place, 0.0);
 }
 
-// The same for a texel's centre, of textures that need no filter.
+// Sample the nearest texel, without a filter.
 vec4 nearest_sampled(IMAGE image, vec2 place)
 {
     return textureLod(READ(image, nearest_texel), place, 0.0);
 }
 
-// Filtered over a pixel with these sides. Not by textureGrad, which ends LLVM 15 in compute shaders of Mesa.
+// Sample filtered over a pixel with these sides; textureGrad crashes LLVM 15 in Mesa's compute shaders.
 vec4 sampled_over(IMAGE image, vec2 place, vec2 across, vec2 down)
 {
     vec2 size = vec2(size_of(image)), right = across * size, below = down * size;

@@ -13,7 +13,7 @@ layout(binding = 2) uniform writeonly image2D source_image;
 uniform bool with_source;
 uniform usampler2D front_status;
 
-// Of the display pixel: what warp.frag gets from the vertices of its triangle.
+// Values of the display pixel that warp.frag gets from the vertices of its triangle.
 vec2 grid_place, panel_place, cell, range;
 vec4 path[CHANNELS], bend[CHANNELS], across_and_down[CHANNELS];
 vec2 mixed_bend[CHANNELS];
@@ -28,7 +28,7 @@ void sides_of_pixel(const int channel, out vec2 across, out vec2 down)
 
 #include "warp.glsl"
 
-// A triangle of a cell: the corner at its right angle, the steps to the two others, and the pixel's distance along these.
+// A triangle of a cell: its right-angled corner, the steps to the other corners, and the pixel's distances along them.
 struct Triangle {
     ivec2 corner, beside, below;
     vec2 place;

@@ -15,7 +15,7 @@ flat in float known[CHANNELS];
 flat in vec2 cell;
 flat in vec2 range;
 flat in float samples_per_axis;
-flat in float filled;  // 1 if an inset's wider picture is not drawn here
+flat in float filled;  // 1 if the wider picture around an inset is not drawn here
 flat in float nearest_shown;  // inverse depth
 
 uniform bool is_backdrop;  // see warp_cell.glsl
@@ -26,7 +26,7 @@ layout(location = 1) out uint worst_status;
 layout(location = 2) out vec2 source;
 
 const bool is_direct = MARCH == 0;
-bool is_needed;  // a backdrop is not where the picture in front shows something
+bool is_needed;  // false for a backdrop where the picture in front shows something
 
 void sides_of_pixel(const int channel, out vec2 across, out vec2 down)
 {

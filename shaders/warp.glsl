@@ -1,24 +1,24 @@
-// What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.
+// The colour of a display pixel: the intermediate image's colour where the pixel's bent ray meets it.
 //
-// warp.frag and warp.comp run it for each pixel. They have before it, for its place in a cell of the warp grid: grid_place,
-// cell, range, samples_per_axis, is_direct, filled, nearest_shown, is_backdrop, is_needed, and with UNIFORMITY panel_place;
-// for each channel: path, bend, mixed_bend, known, and the function sides_of_pixel, which gives the sides of a display
-// pixel in the image.
+// warp.frag and warp.comp run it for each pixel. Before including it they define, for the pixel's position in a cell of
+// the warp grid: grid_place, cell, range, samples_per_axis, is_direct, filled, nearest_shown, is_backdrop, is_needed,
+// and with UNIFORMITY panel_place; for each channel: path, bend, mixed_bend, known; and the function sides_of_pixel,
+// which returns the sides of a display pixel in the image.
 //
-// Written for software renderers too: a texture read at normalised coordinates costs them less than a fetch.
+// It is written for software renderers too, in which a texture read at normalised coordinates costs less than a fetch.
 
-TEXTURE(1) picture;  // gives linear light
+TEXTURE(1) picture;  // samples are linear light
 TEXTURE(2) inverse_depth;
-#ifndef MESH_WARP  // whose uniforms are a block, and whose depths those of a depth buffer
+#ifndef MESH_WARP  // mesh_warp.glsl has a uniform block and the depths of a depth buffer
 #define INVERSE_DEPTHS(texels) texels
 #define NOWHERE uintBitsToFloat(0x7fc00000u)
 uniform vec3 background;  // linear light
 uniform float opaque;     // 1 for a picture without alpha
-uniform bool is_inset;           // a sharper picture of a part, drawn over the wider one
+uniform bool is_inset;           // true for a sharper picture of a part, drawn over the wider picture
 uniform vec4 widest_from_inset;  // scale and offset of pixels
 #endif
 #if ENCODING == TABLE
-uniform sampler2D code_of_light;  // over the fourth root of the light, from 0 to 1
+uniform sampler2D code_of_light;  // codes as a function of the fourth root of the light, from 0 to 1
 #endif
 #if UNIFORMITY
 uniform sampler2D uniformity;  // factors of the light
@@ -27,14 +27,14 @@ uniform sampler2D uniformity;  // factors of the light
 #if OVERLAYS
 uniform int overlay_count;
 uniform sampler2D overlays[MAX_OVERLAYS];
-uniform vec3 overlay_place[3 * MAX_OVERLAYS];  // rows that take a pixel of the image to the place on a quad, times its inverse depth
+uniform vec3 overlay_place[3 * MAX_OVERLAYS];  // rows from image pixels to positions on a quad, times its inverse depth
 #endif
 
-vec2 size_px, per_texel;  // of the image
+vec2 size_px, per_texel;  // size of the image, and its inverse
 
 #include "march.glsl"
 
-// What linear interpolation over a triangle misses of a quadratic, from its second differences between grid points.
+// Difference of a quadratic from its linear interpolation over a triangle, by second differences between grid points.
 vec2 missed_by_triangles(int channel)
 {
     vec2 place = grid_place - cell;
@@ -49,10 +49,10 @@ vec4 light_at(vec2 pixel, float inverse, float half_px)
     return sampled(picture, place * per_texel);
 }
 
-// The mean over a display pixel, whose sides appear in the image as `across` and `down`.
+// Mean light over a display pixel with sides `across` and `down` in the image.
 vec4 filtered_light(vec2 pixel, vec2 across, vec2 down, float inverse, float half_px)
 {
-    // Tested at its end: software renderers run one round too many of a loop that is tested at its head.
+    // The loop is tested at its end: software renderers run one extra iteration of a loop that is tested at its head.
     vec4 sum = vec4(0.0);
     float i = 0.0, count = samples_per_axis * samples_per_axis;
     do {
@@ -65,17 +65,17 @@ vec4 filtered_light(vec2 pixel, vec2 across, vec2 down, float inverse, float hal
 }
 
 #if OVERLAYS
-// Where a ray meets an overlay's quad, and 1/m there: negative behind the viewer.
+// Position where a ray meets an overlay's quad, and its inverse depth, 1/m: negative behind the viewer.
 vec3 place_on_quad(int k, vec2 at_infinity, vec2 shift)
 {
     vec3 row_x = overlay_place[3 * k], row_y = overlay_place[3 * k + 1], row_w = overlay_place[3 * k + 2];
-    // The plane's inverse depth is linear in the pixel, and the pixel in the inverse depth.
+    // The plane's inverse depth is linear in the pixel, and the pixel is linear in the inverse depth.
     float inverse = dot(row_w, vec3(at_infinity, 1.0)) / (1.0 - dot(row_w.xy, shift));
     vec3 pixel = vec3(at_infinity + inverse * shift, 1.0);
     return vec3(vec2(dot(row_x, pixel), dot(row_y, pixel)) / dot(row_w, pixel), inverse);
 }
 
-// Premultiplied light of an overlay, with smooth edges; 0 beside its quad.
+// Premultiplied light of an overlay, with smooth edges; 0 outside its quad.
 vec4 overlay_light(int k, vec2 at_infinity, vec2 shift, vec2 across, vec2 down)
 {
     vec3 place = place_on_quad(k, at_infinity, shift);
@@ -106,7 +106,7 @@ float alpha = 0.0;
 int worst = SEEN;
 vec2 seen_at = vec2(0.0);
 
-// Called with constants: a loop that is not unrolled would index the interpolants at run time.
+// Called with constants, because a loop that is not unrolled would index the interpolants at run time.
 void add_channel(const int channel)
 {
     bool lost = known[channel] == 0.0;
@@ -116,7 +116,7 @@ void add_channel(const int channel)
     float inverse = 0.0, half_px = 0.0;
     int status = SEEN;
     if (is_direct) {
-        // All that the image shows along the path lies within DIRECT_PX.
+        // All surfaces of the image along the path lie within DIRECT_PX.
         vec2 nearby = at_infinity + 0.5 * (range.x + range.y) * shift;
         pixel = at_infinity + inverse_depth_at(nearby) * shift;
     } else {
@@ -125,7 +125,7 @@ void add_channel(const int channel)
     }
     float margin = is_inset ? 0.5 : 0.0;
     bool inside = all(greaterThanEqual(pixel, vec2(margin))) && all(lessThanEqual(pixel, size_px - margin));
-    inside = inside || filled == 1.0;  // never a hole, whatever the depths
+    inside = inside || filled == 1.0;  // never a hole, whatever the depths are
     status = lost ? NO_RAY : (inside ? status : OUTSIDE);
     bool found = status <= DISOCCLUDED;
 
@@ -146,7 +146,8 @@ void add_channel(const int channel)
     seen_at = channel == CHANNELS / 2 ? (found ? pixel : vec2(NOWHERE)) : seen_at;
 }
 
-// Whether the pixel is drawn: not where the wider picture of an inset or that in front of a backdrop is there already.
+// Shade the pixel; false if it is not drawn, because the wider picture around an inset, or the picture in front of a
+// backdrop, is already there.
 bool shade()
 {
     size_px = vec2(size_of(picture));

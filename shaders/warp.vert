@@ -2,25 +2,25 @@
 #include "texels.glsl"
 #include "cell_notes.glsl"
 #include "warp_cell.glsl"
-// The cells of a warp grid as two triangles each: those that the program is for (sampled directly, or marched), the
-// others without area.
+// The cells of a warp grid as two triangles each; cells that another program draws (sampled directly, or marched) have
+// no area.
 
 uniform bool top_row_first;
 
 out vec2 grid_place;
 #if UNIFORMITY
-out vec2 panel_place;  // from 0 to 1
+out vec2 panel_place;  // position from 0 to 1
 #endif
 out vec4 path[CHANNELS];
 out vec4 bend[CHANNELS];
 out vec2 mixed_bend[CHANNELS];
 flat out float known[CHANNELS];  // 1 if the triangle's three points have rays
 flat out vec2 cell;
-flat out vec2 range;  // of inverse depth along the cell's paths
+flat out vec2 range;  // range of inverse depth along the cell's paths
 flat out float samples_per_axis;
-flat out float filled;  // 1 if an inset's wider picture is not drawn here
+flat out float filled;  // 1 if the wider picture around an inset is not drawn here
 flat out float nearest_shown;  // inverse depth
-invariant gl_Position;  // several programs draw the cells of one picture, which must meet without holes
+invariant gl_Position;  // several programs draw the cells of one picture, which must join without holes
 
 void main()
 {

@@ -1,19 +1,20 @@
-// What the warp knows of a cell of its grid: outputs of cells.frag, read for warp.vert and warp.comp.
+// Data of a cell of the warp grid: outputs of cells.frag, read for warp.vert and warp.comp.
 
-uniform sampler2D paths;  // see cells.frag; channels lie one below the other
+uniform sampler2D paths;  // see cells.frag; channels are stacked vertically
 uniform sampler2D bends;
 uniform sampler2D mixed_bends_and_ranges;
-uniform float most_samples_per_axis;  // of a display pixel
+uniform float most_samples_per_axis;  // samples of a display pixel
 
-// The backdrop, an older picture, is drawn where the one in front is DISOCCLUDED, which is not in cells that it shows directly.
+// The backdrop, an older picture, is drawn where the picture in front is DISOCCLUDED, which it never is in direct
+// cells.
 uniform bool is_backdrop;
 uniform sampler2D front_ranges;
 
-// Of the two triangles of a cell, cut from the upper right to the lower left: the same three points in both shaders.
+// Corners of a cell's two triangles, cut from the upper right to the lower left: the same points in both shaders.
 const ivec2 CORNERS[6] = ivec2[](ivec2(0, 0), ivec2(1, 0), ivec2(0, 1), ivec2(1, 0), ivec2(1, 1), ivec2(0, 1));
 
 struct Cell {
-    vec2 range;  // of inverse depth along the paths
+    vec2 range;  // range of inverse depth along the paths
     float samples_per_axis;
     bool is_direct;   // the image's depth moves its pixels by less than DIRECT_PX
     bool is_covered;  // a sharper picture fills it
@@ -42,7 +43,7 @@ Cell cell_at(sampler2D ranges, ivec2 upper_left)
     return cell;
 }
 
-// The nearest that a backdrop shows: what is behind the surface that hides it.
+// Largest inverse depth that a backdrop shows: it must lie behind the surface that hides it.
 float nearest_shown_in(Cell front)
 {
     return is_backdrop ? 0.5 * (front.range.x + front.range.y) : MISSING;

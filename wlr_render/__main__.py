@@ -84,7 +84,7 @@ def main() -> int:
 
 
 def run_program(run: "Callable[[], int]") -> int:
-    """Run `run`, which returns an exit status, with signal handlers and open standard streams; returns the status."""
+    """Call `run` with signal handlers and open standard streams, and return its exit status."""
     interruptions = Interruptions()
     try:
         interruptions.install()
@@ -113,7 +113,7 @@ def _open_streams() -> None:
 def _flushed(stream: "TextIO", status: int) -> int:
     """Flush a stream; returns the exit status, or 2 if that fails.
 
-    Otherwise Python reports the failure when it exits. A reader that closes early, e.g. `| head`, is not a failure.
+    Without this, Python reports the failure at exit. A reader that closes early, e.g. `| head`, is not a failure.
     """
     try:
         stream.flush()
@@ -128,7 +128,7 @@ def _flushed(stream: "TextIO", status: int) -> int:
 def _say(sentence: str) -> None:
     import contextlib
 
-    with contextlib.suppress(OSError):  # no stream is left to report to
+    with contextlib.suppress(OSError):  # there is no stream to report to
         os.write(sys.stderr.fileno(), f"wlr-render: {sentence}\n".encode())
 
 

@@ -116,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_app(make: Callable[[], App], arguments: Sequence[str] | None) -> int:
-    """Run one command of an app whose commands are jobs, and return the exit status as `main` does."""
+    """Run one command of an app whose commands are jobs, and return the exit status like `main`."""
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     debug, outside = "--debug" in tokens, OUTSIDE in tokens
     tokens = [token for token in tokens if token not in ("--debug", OUTSIDE)] or ["--help"]
@@ -135,7 +135,7 @@ def run_app(make: Callable[[], App], arguments: Sequence[str] | None) -> int:
                 return _run(app, tokens, debug)
         return _run(app, tokens, debug)
     except BrokenPipeError:
-        # The reader has closed the pipe, e.g. `| head`; Python must not complain again when it exits.
+        # The reader has closed the pipe, e.g. `| head`; Python must not report it again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Terminated:
@@ -187,7 +187,7 @@ def make_app() -> App:
 
 
 def _converted(kind: Any, tokens: Sequence[Token]) -> Any:
-    """Convert the text of an option to its type as cyclopts does, but refuse 1.5 for a whole number."""
+    """Convert the text of an option to its type as cyclopts does, but refuse e.g. 1.5 for a whole number."""
     kinds = {kind, *get_args(kind)}
     for token in tokens:
         if int in kinds and not kinds & {float, str} and not re.fullmatch(r"[+-]?[0-9]+", token.value):
@@ -214,10 +214,10 @@ def _run(app: App, tokens: Sequence[str], debug: bool) -> int:
 def _is_of_the_input(error: Exception) -> bool:
     """Return whether the user can fix the cause of an exception; other exceptions are defects of the program.
 
-    Among operating system errors, the user can fix files and the disk. The program must handle failing connections and
-    processes itself.
+    Of operating system errors, the user can fix file and disk errors. The program must handle failing connections
+    and processes itself.
     """
-    from socket import gaierror  # not before it is needed: --help must be quick
+    from socket import gaierror  # imported only when needed, because --help must be quick
 
     elsewhere = (ConnectionError, TimeoutError, ChildProcessError, ProcessLookupError, gaierror)
     if isinstance(error, elsewhere) and error.filename is None:

@@ -11,7 +11,7 @@ class BadInputError(ValueError):
 
 
 class MissingGlError(BadInputError):
-    """OpenGL is required and cannot be opened; the sentence says what to install or which backend to use."""
+    """OpenGL is required and cannot be opened; the message states what to install or which backend to use."""
 
 
 class Terminated(KeyboardInterrupt):

@@ -23,8 +23,8 @@ def install_command(extra: str) -> str:
     """Return the command that installs an extra's libraries for the running interpreter.
 
     The command names the libraries as `pyproject.toml` does, not `wlr_render[extra]`, because the package is not on an
-    index, where its name may belong to others. It names the interpreter, because the shell's `pip` may belong to
-    another one.
+    index, where its name may belong to someone else. It names the interpreter, because the shell's `pip` may belong to
+    a different one.
     """
     try:
         stated = importlib.metadata.requires("wlr_render") or []
@@ -36,7 +36,7 @@ def install_command(extra: str) -> str:
     if not libraries:  # a checkout that was never installed, or was installed before this extra existed
         libraries = [f"{Path(__file__).resolve().parents[1]}[{extra}]"]
     pip = [sys.executable, "-m", "pip", "install"]
-    if find_spec("pip") is None:  # an environment made by uv
+    if find_spec("pip") is None:  # an environment created by uv
         pip = ["uv", "pip", "install", "--python", sys.executable]
     return shlex.join([*pip, *libraries])
 

@@ -1,6 +1,6 @@
 """Readers and writers of pictures, maps, trajectories, photographs, boards and sessions, and shipped files.
 
-Files are written whole or not at all. docs/files.md has the formats.
+Files are written atomically. docs/files.md describes the formats.
 """
 
 from wlr_render.lazy_names import lazy_names

@@ -1,6 +1,6 @@
 """Short HTML of an object for notebooks, which call `_repr_html_`: a title, sentences and tables; no scripts, no files.
 
-Names may come from foreign files: everything is escaped here, so that callers pass plain text.
+Names may come from untrusted files: everything is escaped here, so that callers pass plain text.
 """
 
 import html

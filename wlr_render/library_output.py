@@ -1,4 +1,4 @@
-"""Output that libraries print and the user of a verb does not see."""
+"""Suppression of output that libraries print and users of a verb should not see."""
 
 import contextlib
 import io
@@ -33,7 +33,7 @@ def _own_standard_error() -> Iterator[None]:
     stream = sys.stderr
     try:
         kept = os.dup(_STANDARD_ERROR)
-    except OSError:  # it is closed
+    except OSError:  # standard error is closed
         yield
         return
     try:

@@ -1,4 +1,4 @@
-"""The two protocols all models implement, and the result of every query.
+"""The two protocols that all models implement, and the result of every query.
 
 Exact optics, planar models and all baselines implement `DisplayMapping` and `SeeThroughMapping`; rendering, evaluation
 and diagnosis do not know which one they use. All arrays are in the device frame (OpenXR: x right, y up, looking
@@ -274,9 +274,8 @@ def middle_channel(channels: Sequence[_OfChannel]) -> _OfChannel:
 class PlanarModel(Protocol):
     """Protocol of mappings that a shader can solve: a polynomial of the point p~ = place.carry(viewpoint, t).
 
-    A viewpoint sees a pixel of a display under the tangents t(pixel, p~). Through the optics, the ray of the tangents t
-    passes through (p~ + B, z of the plane at p~) with tangents t + A: B is an offset at constant z, also on a tilted
-    plane.
+    A viewpoint sees a pixel of a display at tangents t(pixel, p~). Beyond the optics, the ray of tangents t passes
+    through (p~ + B, z of the plane at p~) with tangents t + A: B is an offset at constant z, also on a tilted plane.
     """
 
     @property
@@ -285,7 +284,7 @@ class PlanarModel(Protocol):
 
     @property
     def place(self) -> BasePlane:
-        """Base plane of p~; the eye's other mapping may have another."""
+        """Base plane of p~; the eye's other mapping may have a different one."""
 
     @property
     def modelled(self) -> Polynomial:

@@ -1,4 +1,4 @@
-"""Sizes of the errors of ordinary equipment: one table, which priors, checks, budgets and simulators use by name.
+"""Sizes of the errors of ordinary equipment: one table that priors, checks, budgets and simulators use by name.
 
 docs/equipment.md prints the table with the modules that use each row: where an estimator and a simulator share a row,
 the simulated bench has exactly the size that the estimator expects.
@@ -15,11 +15,11 @@ class Size:
     """Size of one kind of error.
 
     Attributes:
-        value: in `unit`.
+        value: size in `unit`.
         unit: "m", "rad", "arcmin", "px" and so on; "1" for a ratio.
-        source: where the value comes from: data sheets, a measurement of ours, a publication or an assumption.
+        source: source of the value: data sheets, our measurement, a publication or an assumption.
         log_sigma: standard deviation of the natural logarithm of the size between benches, for a prior of the size
-            itself; 0 where the value is used as it is.
+            itself; 0 where the value is used as a constant.
     """
 
     value: float
@@ -29,16 +29,16 @@ class Size:
 
     @property
     def milli(self) -> float:
-        """The value in thousandths of its unit: millimetres of metres."""
+        """The value in thousandths of its unit, e.g. millimetres for metres."""
         return round(1e3 * self.value, 9)
 
     @property
     def micro(self) -> float:
-        """The value in millionths of its unit: micrometres of metres."""
+        """The value in millionths of its unit, e.g. micrometres for metres."""
         return round(1e6 * self.value, 9)
 
 
-_BY_THREE, _BY_E = 1.2, 1.0  # sigmas of logarithms: one bench differs from the next by a factor of 3.3, or of 2.7
+_BY_THREE, _BY_E = 1.2, 1.0  # sigmas of logarithms: benches differ by a factor of 3.3, or of 2.7
 
 # The stage that carries the camera: what estimators expect.
 STAGE_REPEATABILITY_M = Size(

@@ -20,7 +20,7 @@ from wlr_render.io.input_files import InputLimits, outside_references
 from wlr_render.scene import gltf_document
 from wlr_render.scene.mesh_file import MeshFile, load_meshes
 from wlr_render.scene.scene import Instance, LightSource, Mesh, Scene, world_positions
-from wlr_render.scene.shapes import construction, objects
+from wlr_render.scene.shapes import construction
 from wlr_render.scene.shapes.construction import turn
 
 CORNERS = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]], np.uint8).reshape(2, 2, 3)
@@ -118,6 +118,8 @@ def nearest_texel(mesh: Mesh, vertex_position: Sequence[Any]) -> list[int]:
 @pytest.fixture
 def scene() -> Scene:
     board = replace(construction.plane(0.4, 0.3, colour=(0.2, 0.4, 0.6)), name="board", texture=CORNERS)
+    cup = construction.sphere(0.04, segments=8)
+    cup = replace(cup, name="cup", vertex_colour=np.random.default_rng(1).random(cup.position.shape, np.float32))
     matrix = np.eye(4)
     matrix[:3, :3] = turn(0.3, 0.5, -0.2) * [1.0, 2.0, 0.5]
     matrix[:3, 3] = [0.1, -0.2, -1]
@@ -125,7 +127,7 @@ def scene() -> Scene:
     shifted[:3, 3] = [1, 2, 3]
     return Scene(
         "test",
-        (board, objects.mug()),
+        (board, cup),
         (Instance("one", 0, np.eye(4)), Instance("two", 0, matrix), Instance("cup", 1, shifted)),
         (
             LightSource("point", np.array([0.1, 0.5, -0.3]), np.array([2.0, 1.0, 0.5], np.float32)),
@@ -153,12 +155,12 @@ def test_glb_keeps_meshes_once_and_places_them_where_they_were(scene: Scene, loa
 
 
 def test_glb_keeps_colours_and_textures(scene: Scene, loaded: MeshFile) -> None:
-    board, mug = (next(m for m in loaded.meshes if name in m.name) for name in ("board", "mug"))
+    board, cup = (next(m for m in loaded.meshes if name in m.name) for name in ("board", "cup"))
     np.testing.assert_array_equal(board.texture, CORNERS)
     np.testing.assert_allclose(present(board.uv), present(scene.meshes[0].uv), atol=1e-6)
     np.testing.assert_allclose(board.base_colour, [0.2, 0.4, 0.6], atol=0.5 / 255)
-    np.testing.assert_allclose(present(mug.vertex_colour), present(scene.meshes[1].vertex_colour), atol=0.51 / 255)
-    assert mug.texture is None
+    np.testing.assert_allclose(present(cup.vertex_colour), present(scene.meshes[1].vertex_colour), atol=0.51 / 255)
+    assert cup.texture is None
 
 
 def test_glb_keeps_lights(scene: Scene, loaded: MeshFile) -> None:
@@ -192,6 +194,10 @@ def test_ply_vertex_colours_are_made_linear(tmp_path: Path) -> None:
     np.testing.assert_allclose(present(colour)[0], [1, 0.5028865, 0], atol=1e-6)
 
 
+def test_normals_are_computed_where_the_file_has_none(tmp_path: Path) -> None:
+    np.testing.assert_allclose(load_meshes(gltf(tmp_path)).meshes[0].normal, np.tile([0, 0, 1], (3, 1)), atol=1e-7)
+
+
 def test_a_gltf_without_normals_is_flat(tmp_path: Path) -> None:
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1]], np.uint32)
@@ -223,6 +229,11 @@ def test_a_light_shines_along_the_minus_z_of_its_node_with_intensity_over_pi(tmp
     light = load_meshes(gltf(tmp_path, nodes=nodes, scenes=[{"nodes": [0, 1]}], extensions=lights)).lights[0]
     np.testing.assert_allclose(light.vector, [-0.96, 0, -0.28], atol=1e-12)
     np.testing.assert_allclose(light.colour, np.array([3, 1.5, 0]) / np.pi, rtol=1e-6)
+
+
+def test_triangles_without_area_are_dropped(tmp_path: Path) -> None:
+    mesh = load_meshes(obj(tmp_path, faces="f 1/1 2/2 3/3\nf 1/1 1/1 2/2\n")).meshes[0]
+    assert len(mesh.triangles) == 1
 
 
 @pytest.mark.parametrize(

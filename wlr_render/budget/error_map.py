@@ -23,7 +23,7 @@ from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 _COLUMNS, _ROWS = 18, 16  # cells of a map
 _VIEWPOINTS = 3  # Chebyshev nodes along each axis of the eye box
 _DEPTHS = 3  # Chebyshev nodes in inverse depth; three determine a quadratic
-_FAR_M = 1e6  # stands for an infinite depth: a centimetre there is far below any error
+_FAR_M = 1e6  # depth used for infinity: a centimetre at this depth is far below any error
 _NEAREST_PER_M = 5.0  # inverse of 0.2 m; nearer points follow the same quadratic
 
 
@@ -115,7 +115,7 @@ class ErrorMap:
     """Predictor of the registration error of an eye's frames; the constructor takes a few seconds, `at` 0.1 ms.
 
     The model's covariance rises at the borders of the panel and the eye box, where interpolation is least accurate.
-    docs/budget.md states the interpolation errors against `registration_covariance`.
+    docs/budget.md states the interpolation errors relative to `registration_covariance`.
 
     Attributes:
         pixel: (rows, columns, 2) panel pixels of the maps: centres of equal cells.

@@ -71,7 +71,7 @@ class Drawing(_Sizes):
         raster_arcmin: bound of the difference between a raster frame and a ray-traced one.
         is_rounded: whether edges are rounded to whole pixels. A warp with a filter does not round: the brightness of
             two neighbouring pixels places an edge between them. Without a filter, the error of an edge is uniform
-            within half a pixel to either side.
+            within half a pixel on either side.
         has_one_viewpoint: whether one entrance pupil serves a whole frame. The cornea moves it for view directions
             beside the gaze (`tracking.eye_model`); the error counts for an eye that looks straight ahead.
     """
@@ -127,7 +127,7 @@ class ErrorSizes:
 
 
 def variances(*sizes: PerAxis) -> FloatArray:
-    """Return the variances (3 k,) of k standard deviations, one per axis."""
+    """Return the variances (3 k,), one per axis, of k standard deviations."""
     return np.concatenate([np.broadcast_to(np.asarray(size, np.float64), (3,)) for size in sizes]) ** 2
 
 

@@ -23,14 +23,16 @@ class EyeBudget:
     """Error budget of one eye.
 
     Attributes:
-        eye: "left" or "right". region: region of the budget, in words.
-        radius_arcmin: radius that contains 95 % of the errors. rms_arcmin, worst_arcmin: rms length over all errors,
-            and largest rms length.
+        eye: "left" or "right".
+        region: region of the budget, in words.
+        radius_arcmin: radius that contains 95 % of the errors.
+        rms_arcmin, worst_arcmin: rms length over all errors, and largest rms length.
         owners, sources: contributions, largest first.
         regions: radius by region of the panel.
         sizes: sizes of the errors, except model errors.
         left_out: share of the field's pixels and viewpoints that need extrapolation or have no answer.
-        radius_map: (rows, columns) radius by panel cell. rms_maps: rms of each source by panel cell.
+        radius_map: (rows, columns) radius by panel cell.
+        rms_maps: rms of each source by panel cell.
     """
 
     eye: str
@@ -70,7 +72,7 @@ def eye_budget(eye: Eye, depth_m: float, sizes: ErrorSizes, in_camera_frame: boo
     if not known.any():
         raise BadInputError(f"{eye.name}: no pixel is seen at {depth_m:g} m from the eye box; check depth and model.")
     total = np.where(known[..., None, None], found.total, np.nan)
-    of_pixels = np.moveaxis(total, 0, 2)  # populations are the viewpoints
+    of_pixels = np.moveaxis(total, 0, 2)  # a population is all viewpoints
     seen = known.any(axis=0)
     radius = np.full(seen.shape, np.nan)
     radius[seen] = radius_within(of_pixels[seen])
@@ -104,7 +106,7 @@ def eye_budget(eye: Eye, depth_m: float, sizes: ErrorSizes, in_camera_frame: boo
 
 @dataclass(frozen=True)
 class DisparityShare:
-    """Rms horizontal and vertical disparity error by one source, arcminutes."""
+    """Rms horizontal and vertical disparity error from one source, arcminutes."""
 
     source: str
     horizontal_arcmin: float

@@ -1,4 +1,4 @@
-"""Covariance of the registration error: the view direction of a pixel less the view direction of its real point.
+"""Covariance of the registration error: the view direction of a pixel minus the view direction of its real point.
 
 All errors are small, so that their effects are linear. Derivatives by viewpoint, real point and pixel are central
 differences of the mappings, traced or fitted. When a tracker reports the viewpoint v + d instead of v, the renderer
@@ -27,7 +27,7 @@ MODEL, EYE, HEAD, DRAWING = "model", "eye tracker", "head tracker", "drawing"
 TRACKING_CAMERA = f"{MODEL}: tracking camera"
 """Error source of models fitted to photographs: the stated pose of the headset's camera, the frame of all readings."""
 
-_STEP_M = 20e-6  # step of a viewpoint; models curve over millimetres, and solves converge to 1e-12
+_STEP_M = 20e-6  # step of a viewpoint: models curve over millimetres, and solves converge to 1e-12
 _STEP_RAD = 1e-4  # step of a real point, as an angle at the viewpoint
 _STEP_PX = 0.05  # step of a pixel
 _STRAIGHT_AHEAD = np.array([0.0, 0.0, -1.0])
@@ -97,7 +97,7 @@ def _covered(
 def disparity_covariance(
     eyes: Sequence[Eye], point: FloatArray, viewpoints: Sequence[FloatArray], sizes: Sequence[ErrorSizes]
 ) -> dict[str, FloatArray]:
-    """Return the covariance of the disparity error by source: right registration error less left registration error.
+    """Return the covariance of the disparity error by source: right registration error minus left registration error.
 
     The models of the two eyes are independent, and so are the noise and bias of their eye trackers. Errors of the head
     pose are common to both eyes and cancel except where the optics of the eyes differ. Eyes turn together, so that
@@ -171,7 +171,7 @@ class _Sensitivity:
     def covariances(self, sizes: ErrorSizes) -> dict[str, FloatArray]:
         """Return the covariances (..., 2, 2) by source, square arcminutes."""
         eye, drawing, truncation = sizes.eye, sizes.drawing, sizes.truncation
-        each_axis = np.eye(2) + 0.0 * self.by_viewpoint[..., :1]  # NaN where nothing is seen
+        each_axis = np.eye(2) + 0.0 * self.by_viewpoint[..., :1]  # NaN where the eye sees nothing
         moved = {name: _spread(by, variance) for name, (by, variance) in self.common_motions(sizes).items()}
         drawn = 0.5 * (drawing.warp_grid_arcmin**2 + drawing.raster_arcmin**2)
         rounding = np.full(2, drawing.is_rounded / 12.0)
@@ -226,5 +226,5 @@ def _derivative(
 
 
 def _spread(by: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return the covariance (..., 2, 2) from derivatives (..., 2, k) by independent variables of `variance` (k,)."""
+    """Return the covariance (..., 2, 2) from derivatives (..., 2, k) by independent variables with variances (k,)."""
     return np.asarray((by * variance) @ np.swapaxes(by, -1, -2))

@@ -8,7 +8,7 @@ import numpy as np
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_ANGLES = 16  # quadrature angles of a normal vector; more do not change four digits
+_ANGLES = 16  # number of quadrature angles of a normal vector; more do not change four digits
 _SHARE = 0.95  # share of the errors within the radius
 _HALVINGS = 30  # bisection steps for a radius
 
@@ -40,7 +40,7 @@ def radius_within(covariance: FloatArray) -> FloatArray:
     (xx, xy), (_, yy) = np.moveaxis(covariance, (-2, -1), (0, 1))
     mean, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     angle = np.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
-    # A normal vector of length rho and angle a has the squared length rho^2 (mean + half cos 2a); rho is Rayleigh.
+    # A unit normal vector of length rho (Rayleigh) and angle a gives the squared length rho^2 (mean + half cos 2a).
     squared = 2.0 * (mean[..., None] + half[..., None] * np.cos(2.0 * angle))
     squared = squared.reshape(*squared.shape[:-2], -1)
     low = np.zeros(squared.shape[:-1])

@@ -1,4 +1,4 @@
-"""Camera motions: fitted against stated sizes, and the odds that a camera moved more than a stage's repeatability."""
+"""Camera motions: fitted versus stated sizes, and odds that a camera moved by more than a stage's repeatability."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -10,25 +10,25 @@ from wlr_render.calibration.smooth_prior import SHIFT, TURN, motion_scale, motio
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.usual import STAGE_REPEATABILITY_M, STAGE_TURN_RAD
 
-_TIMES_USUAL = (1.0, 5.0, 20.0, 100.0, 500.0)  # sizes of shift and turn of a camera that moved, up to a slip of a mm
-_SHARE_THAT_MOVES = 0.03  # share of captures, before the readings: an assumption, as in a diagnosis
-_SUSPECT_LOG10_ODDS, _LEAST_LOG10_ODDS = 0.0, 2.0  # odds from which others judge a capture, 1:1, and it is named, 100:1
+_TIMES_USUAL = (1.0, 5.0, 20.0, 100.0, 500.0)  # sizes of a moved camera's shift and turn, in usual sizes
+_SHARE_THAT_MOVES = 0.03  # prior share of captures that move, an assumption as in diagnosis
+_SUSPECT_LOG10_ODDS, _LEAST_LOG10_ODDS = 0.0, 2.0  # log10 odds for a test by the other captures, and for a report
 _MEDIAN_OF_THREE = 1.538  # median length of three standard normal numbers
-_MOVED_M, _MOVED_RAD = 5e-5, 2e-4  # an ordinary stage's motion is below both: about 20 usual sizes, 2.5 sigmas
-_PLAUSIBLE_M, _PLAUSIBLE_RAD = 0.03, 0.1  # a camera on a stage does not move by more
+_MOVED_M, _MOVED_RAD = 5e-5, 2e-4  # bounds on an ordinary stage's motion: about 20 usual sizes, 2.5 sigmas
+_PLAUSIBLE_M, _PLAUSIBLE_RAD = 0.03, 0.1  # largest plausible motions of a camera on a stage
 _BAD_STAGE_M, _BAD_STAGE_RAD, _TIMES_STATED = 1e-4, 3e-4, 2.0
-"""Repeatability of a bad stage, 30 usual sizes, and factor on the stated one: motions of all captures are no larger."""
+"""Largest motions of all captures: a bad stage's repeatability, 30 usual sizes, or this factor on the stated one."""
 
 
 @dataclass(frozen=True)
 class CaptureMotion:
-    """A capture whose camera stood elsewhere than stated, by far more than the others'.
+    """A capture whose camera was off its stated position by far more than the other cameras.
 
     Attributes:
-        capture: its index among the readings.
-        shift_m, turn_rad: length of its shift, and its turn.
-        arcmin: mean error of its readings, predicted by the other captures.
-        log10_odds: decimal logarithm of the odds that it moved, against noise and an ordinary motion of the stage.
+        capture: index of the capture among the readings.
+        shift_m, turn_rad: length of the camera's shift, and its rotation.
+        arcmin: mean error of the capture's readings relative to a prediction from the other captures.
+        log10_odds: decimal logarithm of the odds that the camera moved, against noise and ordinary stage motion.
     """
 
     capture: int
@@ -52,12 +52,12 @@ class CaptureMotion:
 
 @dataclass(frozen=True)
 class MotionAgreement:
-    """Comparison of the camera motions that the captures state with the fitted motions.
+    """Comparison of stated and fitted camera motions.
 
     Attributes:
-        shift_m, turn_rad: stated, rms per axis over all captures.
-        shift_factor, turn_factor: found over stated.
-        shift_sigmas, turn_sigmas: distance of the factors' logarithms from 0 by the readings alone, in standard
+        shift_m, turn_rad: stated sizes, rms per axis over all captures.
+        shift_factor, turn_factor: ratio of fitted to stated size.
+        shift_sigmas, turn_sigmas: distance from 0 of the factors' logarithms estimated from readings alone, in standard
             deviations that combine the uncertainties of the stated sizes and of the readings.
     """
 
@@ -70,12 +70,12 @@ class MotionAgreement:
 
 
 def usual_motion(readings: FitReadings, factors: FloatArray, motion: FloatArray, others: IntArray) -> FloatArray:
-    """Return motion sizes (captures, 6) of captures that did not move: as fitted or, if smaller, by the median motion.
+    """Return motion sizes (captures, 6) for captures that did not move: fitted or, if smaller, from the median motion.
 
     Args:
         readings: the fitted readings.
-        factors: (6,) sizes that the fit found over the sizes of `motion_sizes`.
-        motion: (captures, 6) as the fit found it. others: captures that are not left out.
+        factors: (6,) fitted sizes over the sizes of `motion_sizes`.
+        motion: (captures, 6) fitted motions. others: captures that are not left out.
     """
     stated = motion_sizes(readings)
     usual = stated * factors
@@ -85,7 +85,7 @@ def usual_motion(readings: FitReadings, factors: FloatArray, motion: FloatArray,
         most = float(np.max(factors[part]) * np.median(relative)) / _MEDIAN_OF_THREE
         if readings.motion_prior is not None:
             most = max(most, 1.0)
-        # No stage is so bad: where all seem to have moved, a few have.
+        # No stage is worse than this limit: if all captures seem to have moved, only a few have.
         usual[:, part] = np.minimum(usual[:, part], stated[:, part] * min(most, max(_TIMES_STATED, bad / scale)))
         usual[:, part] = np.maximum(usual[:, part], least)
     return usual
@@ -94,12 +94,12 @@ def usual_motion(readings: FitReadings, factors: FloatArray, motion: FloatArray,
 def moved_odds(
     motion: FloatArray, covariance: FloatArray, size: FloatArray, usual: FloatArray
 ) -> tuple[float, FloatArray]:
-    """Return the decimal logarithm of the odds that a camera moved by more than is usual, and its motion (6,) if so.
+    """Return the log10 odds that a camera moved more than usual, and the most probable motion (6,) in this case.
 
     Args:
-        motion: (6,) posterior mean. covariance: (6, 6) of it.
-        size: (6,) sizes of the prior that the posterior contains.
-        usual: (6,) sizes of motions of a camera that did not move.
+        motion: (6,) posterior mean. covariance: (6, 6) posterior covariance.
+        size: (6,) prior sizes used in the posterior.
+        usual: (6,) motion sizes of a camera that did not move.
     """
     mean, within = motion / usual, covariance / usual / usual[:, None]
     within = within + 1e-9 * np.diag(np.diag(within))
@@ -108,7 +108,7 @@ def moved_odds(
     scale = np.repeat(list(product(_TIMES_USUAL, repeat=2)), 3, axis=1)
     normal = np.eye(6) + scale[:, :, None] * (0.5 * (information + information.T)) * scale[:, None]
     values, axes = np.linalg.eigh(normal)
-    values = np.maximum(values, 1.0)  # rounding alone makes them smaller
+    values = np.maximum(values, 1.0)  # smaller values are rounding errors
     along = np.einsum("pki,pk->pi", axes, scale * pull)
     logs = 0.5 * (np.sum(along**2 / values, axis=1) - np.log(values).sum(axis=1))
     means = usual * scale * np.einsum("pki,pi->pk", axes, along / values)

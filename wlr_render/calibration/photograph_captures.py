@@ -1,11 +1,11 @@
-"""Captures of one eye from its photographs, in the device frame, without photographs and dots that are outliers.
+"""Captures of one eye from photographs, in the device frame, without photographs and dots that are outliers.
 
-A fit finds the motion of the camera in each capture (`smooth_search`). A photograph is an outlier if its motion stands
-out from the others': it was not taken at the stated position.
+A fit estimates the motion of the camera in each capture (`smooth_search`). A photograph is an outlier if its motion
+stands out from the others, because it was not taken at the stated position.
 
-Through the optics every dot is displaced from the straight line to it by an amount that varies smoothly over a
-photograph. A dot is an outlier if it does not follow that smooth field, or if its stated sigma is far above the
-others': an aperture's edge cuts the dot, for example.
+The optics displace every dot from the straight line to it by an amount that varies smoothly over a photograph. A dot is
+an outlier if it does not follow this smooth field, or if its stated sigma is far above the others', for example because
+an aperture's edge cuts the dot.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,20 +41,20 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 from wlr_render.usual import CAMERA_SYSTEMATIC_PX
 
-_BEYOND_FIELD = 0.05  # margin on each side of the panel's field: solves start and interpolate there
-_ROWS = 150  # rows of a capture that the search for outliers uses: a motion needs no more
-_DEGREE = 4  # degree of the fit that finds them: optics that follow a capture far off hide it
-_LEAST_ARCMIN = 2.0  # an error below it spoils no model
+_BEYOND_FIELD = 0.05  # margin on each side of the panel's field, for starts and interpolation of solves
+_ROWS = 150  # most rows of a capture in the search for outliers; a motion needs no more
+_DEGREE = 4  # degree of the fit that finds outliers; higher degrees could follow an outlier
+_LEAST_ARCMIN = 2.0  # least error of an outlier; a smaller one harms no model
 
-_DOT_TOP_DEGREE = 4  # highest degree of the field of a photograph's dots: a misread dot is isolated
-_DOTS_PER_TERM = 8  # fewest dots for each term, so that an outlier among them bends the field little
+_DOT_TOP_DEGREE = 4  # highest degree of the field of a photograph's dots
+_DOTS_PER_TERM = 8  # fewest dots for each term, so that a single outlier changes the field little
 _DOT_SIGMAS, _DOT_LEAST_ARCMIN = 8.0, 0.3
-"""An outlier is off by more than both: by what neither noise nor a field of higher degree leaves, and by a third of a
+"""Outlier thresholds, both to be exceeded: robust sigmas, beyond noise and fields of higher degree; and a third of a
 camera pixel of 1', below which a dot is noisy but not misread."""
-_DOT_SIGMA_RATIO = 5.0  # largest sigma over the median of the photograph's dots: dots beyond it are cut or blurred
-_ROUNDS = 10  # outliers bend the field that they are judged by: the worst go first
-_AT_ONCE = 3.0  # factor below the worst at which a dot waits for the next round
-_MAD = 1.4826  # median absolute deviation to standard deviation
+_DOT_SIGMA_RATIO = 5.0  # largest ratio of a dot's sigma to the photograph's median; dots beyond it are cut or blurred
+_ROUNDS = 10  # most rounds of rejection; outliers distort the fitted field, so that the worst are rejected first
+_AT_ONCE = 3.0  # ratio to the worst dot's error below which an outlier waits for the next round
+_MAD = 1.4826  # factor from median absolute deviation to standard deviation
 
 
 def sound_captures(
@@ -63,7 +63,7 @@ def sound_captures(
     """Return the captures of one eye that agree with their stated positions, and the excluded photographs.
 
     Raises:
-        BadInputError: all cameras stand far from the eye box: a pose or a length of session.toml is wrong.
+        BadInputError: all cameras are far from the eye box, because a pose or a length in session.toml is wrong.
     """
     sets, through, excluded = reading.panels_of(session.display), reading.views_of(session.see_through), []
     display: DisplayCaptures | None = None
@@ -117,13 +117,13 @@ def _of_targets(
 
 
 def _of_primary(session: PhotoSession, entry: CodeSet, samples: DecodedSamples) -> DecodedSamples:
-    """Return samples at the places on the panel where the primary that was shown lies in its pixels."""
+    """Return the samples with panel positions shifted to the position of the shown primary within the pixels."""
     offset = session.panels[entry.eye].primary_offsets.get(entry.channel or "")
     return samples if offset is None else replace(samples, panel_pixel=samples.panel_pixel + offset)
 
 
 def _place_numbers(photographs: Sequence[BoardPhotograph]) -> list[int]:
-    """Return a number for each photograph; photographs from one camera place share a number."""
+    """Return a number for each photograph; photographs from one camera position share a number."""
     numbers: dict[str, int] = {}
     return [numbers.setdefault(each.place, len(numbers)) for each in photographs]
 
@@ -157,12 +157,12 @@ def panel_captures(
         camera: the lens; it has OpenCV's axes.
         pose: (4, 4) device_from_camera.
         samples: the decoded panel positions.
-        **columns: other columns of captures: `capture`, and the recorded ones.
+        **columns: other columns of captures, i.e. `capture` and the recorded ones.
 
     Raises:
         BadInputError: the camera does not look at the optics.
     """
-    # The uncertainty of a decoded panel position becomes one of its direction, in camera pixels.
+    # The sigma of a decoded panel position becomes the sigma of its direction, in camera pixels.
     rows, sound = _rows(session, camera, pose, samples.camera_pixel, samples.sigma_px / samples.scale)
     return DisplayCaptures(panel=session.pattern.panel, pixel=samples.panel_pixel[sound], **rows, **columns)
 
@@ -180,10 +180,10 @@ def target_captures(
 
     Args:
         session, pose, **columns: as in `panel_captures`.
-        camera: the lens as it is at this target's distance.
-        device_from_target: (4, 4).
-        observation: the features found.
-        target_point: (n, 3) their true places, target's frame.
+        camera: the lens when focused at this target's distance.
+        device_from_target: (4, 4) pose of the target.
+        observation: the detected features.
+        target_point: (n, 3) true positions of the features, target's frame.
 
     Raises:
         BadInputError: the camera does not look at the optics.
@@ -198,7 +198,7 @@ def target_captures(
 
 
 def joined_views(views: Sequence[AnyCaptures], what: str) -> AnyCaptures:
-    """Return the captures of all views; `what` names the photographed thing in the error.
+    """Return the captures of all views; `what` is the photographed object in the error message.
 
     Raises:
         BadInputError: `views` is empty.
@@ -212,7 +212,7 @@ def within_field(see_through: SeeThroughCaptures, display: DisplayCaptures) -> S
     """Return the dots within the field of view of the panel plus a margin, where the model is used.
 
     Raises:
-        BadInputError: no dot was.
+        BadInputError: no dot is within this field.
     """
     shown = display.tangents
     low, high = shown.min(axis=0), shown.max(axis=0)
@@ -225,7 +225,7 @@ def within_field(see_through: SeeThroughCaptures, display: DisplayCaptures) -> S
 
 
 def recorded_of(taken: SessionEntry) -> dict[str, Any]:
-    """Return what session.toml records of a photograph or a set, by the names of columns of captures."""
+    """Return the data recorded in session.toml for a photograph or a set, by names of captures' columns."""
     stated = {"stage": taken.stage, "time_s": taken.time_s, "temperature_c": taken.temperature_c}
     if isinstance(taken, CodeSet) and taken.channel is not None:
         stated["channel"] = CHANNELS.index(taken.channel)
@@ -235,17 +235,17 @@ def recorded_of(taken: SessionEntry) -> dict[str, Any]:
 def _rows(
     session: PhotoSession, camera: Lens, pose: FloatArray, pixel: FloatArray, sigma_px: FloatArray
 ) -> tuple[dict[str, Any], BoolArray]:
-    """Columns that captures of both kinds have, of the pixels that the camera model has, and which (n,) these are.
+    """Return the columns common to both kinds of captures, for pixels in the lens model's domain, and their mask (n,).
 
     Args:
         session: session of one eye.
         camera: the lens; it has OpenCV's axes.
         pose: (4, 4) device_from_camera.
         pixel: (n, 2) camera pixels.
-        sigma_px: (n,) their standard deviations.
+        sigma_px: (n,) standard deviations of the pixels.
 
     Raises:
-        BadInputError: some of them do not lead forward in the device frame.
+        BadInputError: some pixels have backward directions in the device frame.
     """
     in_camera = camera.dir_of_pixel(pixel)
     direction = transforms.rotate(pose, in_camera)
@@ -271,9 +271,9 @@ def _rows(
 def outliers(
     captures: AnyCaptures, group: IntArray, fit: Callable[[AnyCaptures, str, int | None], ModelFit[AnyModel]]
 ) -> dict[int, float]:
-    """Return the photographs that contradict the others, with their mean error in arcminutes, by number.
+    """Return the mean error, arcminutes, of photographs that contradict the others, by number.
 
-    None where there are too few to judge.
+    The result is empty if there are too few photographs for a test.
 
     Args:
         captures: captures of the panel in one colour, or of the targets.
@@ -293,7 +293,7 @@ def outliers(
 
 
 def dot_inliers(captures: SeeThroughCaptures, photograph: NDArray[np.int64]) -> BoolArray:
-    """Return a mask (n,) of dots that follow the smooth field of their photograph, numbered by `photograph` (n,)."""
+    """Return the mask (n,) of dots that follow the smooth field of their photograph, numbered by `photograph` (n,)."""
     seen = captures.tangents
     displaced = (seen - tangents_of_dir(captures.point - captures.viewpoint)) / ARCMIN
     follows = np.ones(len(captures), dtype=bool)
@@ -307,7 +307,7 @@ def dot_inliers(captures: SeeThroughCaptures, photograph: NDArray[np.int64]) -> 
 
 
 def _smooth(place: FloatArray, displaced: FloatArray) -> BoolArray:
-    """(n,) which of the values (n, 2) at places (n, 2) follow a polynomial through them."""
+    """Return the mask (n,) of the values (n, 2) at places (n, 2) that follow a polynomial fitted to them."""
     kept = np.ones(len(place), dtype=bool)
     degree = next((n for n in range(_DOT_TOP_DEGREE, 0, -1) if term_count(2, n) * _DOTS_PER_TERM <= len(place)), 0)
     if degree == 0:

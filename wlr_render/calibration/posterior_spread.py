@@ -1,4 +1,4 @@
-"""Low-rank factors of a fit's posterior covariance, as models keep it."""
+"""Low-rank factors of a fit's posterior covariance, as stored in models."""
 
 import numpy as np
 import scipy
@@ -10,21 +10,21 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial, basis
 from wlr_render.numerics.posterior import Posterior
 
-_KEPT = 0.98  # share of the predictions' variance that low-rank factors keep: sigmas are then 1 % too small
-_SAMPLES = 500  # readings at which that share is measured
-_OF_LABEL = 12  # variables of an error by label in every fit: display and see-through need the same number
+_KEPT = 0.98  # share of the predictions' variance that low-rank factors keep, which makes sigmas 1 % too small
+_SAMPLES = 500  # number of readings for the estimate of this share
+_OF_LABEL = 12  # most variables of an error by label; display and see-through need the same number
 
 
 def spread_of(
     readings: FitReadings, found: Posterior, response: Response | None = None, beyond: FloatArray | None = None
 ) -> Covariance:
-    """Low-rank factors of the posterior covariance, judged by the variance that they keep at some of the readings.
+    """Return low-rank factors of the posterior covariance that keep most of the variance at some of the readings.
 
     Args:
         readings: the fitted readings.
         found: the posterior.
-        response: how the fit follows errors that it does not find.
-        beyond: (blocks,) variance that terms outside the fit add to an output; None for none.
+        response: response of the fit to errors that it does not estimate.
+        beyond: (blocks,) variance that terms outside the fit add to an output; None for no variance.
     """
     orders, box, blocks = readings.orders, readings.box, readings.blocks
     outputs, parameters = blocks * (1 if readings.mixed else 2), 0
@@ -70,9 +70,9 @@ def spread_of(
 
 
 def label_response(readings: FitReadings, found: Posterior) -> Response:
-    """Return what errors by label leave in a model, by source.
+    """Return the contribution of errors by label to a model, by source.
 
-    It is the difference between the covariance of the model and the one that it would have with these errors known.
+    It is the difference between the model's covariance and its covariance for known errors by label.
     """
     own, parameters = readings.coefficients, readings.parameters
     few = response = Response((), np.zeros((0, 2, own)), np.zeros((0, parameters)))
@@ -109,7 +109,7 @@ def label_response(readings: FitReadings, found: Posterior) -> Response:
 
 
 def _by_own_labels(readings: FitReadings, found: Posterior) -> FloatArray:
-    """Factors (columns, k) of the covariance of an output's coefficients that its own errors by label cause."""
+    """Return factors (columns, k) of the covariance of an output's coefficients due to its own errors by label."""
     own = readings.coefficients
     if not readings.axis_terms:
         return np.zeros((own, 0))
@@ -118,7 +118,7 @@ def _by_own_labels(readings: FitReadings, found: Posterior) -> FloatArray:
 
 
 def _sample(readings: FitReadings) -> tuple[IntArray, FloatArray]:
-    """Return some of the readings, and their inputs; half of them elsewhere in the box, where less is known."""
+    """Return some of the readings and their inputs, half of them with places elsewhere in the box."""
     rng = np.random.default_rng(0)
     rows = rng.permutation(len(readings))[:_SAMPLES]
     inputs = readings.inputs[rows]
@@ -142,7 +142,7 @@ def _by_side(readings: FitReadings, found: Posterior) -> Polynomial:
 
 
 def _with_constant(factors: FloatArray, orders: IntArray, beyond: FloatArray | None) -> FloatArray:
-    """Append to factors (terms, blocks, rank) the factors of a constant variance (blocks,)."""
+    """Append factors of a constant variance (blocks,) to factors (terms, blocks, rank)."""
     if beyond is None or not beyond.any():
         return factors
     constant = (orders.sum(axis=1) == 0)[:, None, None]
@@ -150,7 +150,7 @@ def _with_constant(factors: FloatArray, orders: IntArray, beyond: FloatArray | N
 
 
 def principal_root(covariance: FloatArray) -> FloatArray:
-    """F with F F' = covariance, whatever the scales of the unknowns."""
+    """Return F with F F' = covariance, independent of the scales of the unknowns."""
     scale = np.sqrt(np.diag(covariance))
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariance / scale[:, None] / scale)
@@ -158,7 +158,7 @@ def principal_root(covariance: FloatArray) -> FloatArray:
 
 
 def _by_errors(readings: FitReadings, response: Response, orders: IntArray) -> FloatArray:
-    """Coefficients (terms, outputs, k) of what errors do to a fitted polynomial, in the terms of `orders`."""
+    """Return coefficients (terms, outputs, k), in terms of `orders`, of the change of a fitted polynomial by errors."""
     k, terms, blocks = len(response.sources), len(readings.orders), readings.blocks
     if readings.mixed:
         return response.mixed.reshape(k, blocks, terms).transpose(2, 1, 0)
@@ -174,9 +174,9 @@ def _by_errors(readings: FitReadings, response: Response, orders: IntArray) -> F
 
 
 def lower_root(covariance: FloatArray, jitter: float = 1e-12) -> FloatArray:
-    """Lower triangular F with F F' = covariance: the first unknowns follow the first variables alone.
+    """Return lower triangular F with F F' = covariance, so that the first unknowns depend only on the first variables.
 
-    `jitter` of each variance is added, for covariances that are singular to rounding.
+    A share `jitter` of each variance is added, for covariances that are singular to rounding.
     """
     scale = np.sqrt(np.diag(covariance))
     scale = np.where(scale > 0, scale, 1.0)
@@ -185,10 +185,10 @@ def lower_root(covariance: FloatArray, jitter: float = 1e-12) -> FloatArray:
 
 
 def principal(sampled: FloatArray, others: float = 0.0, most: int | None = None) -> FloatArray:
-    """Directions (k, rank) of standard normal variables that keep `_KEPT` of the variance of samples (n, k).
+    """Return directions (k, rank) of standard normal variables that keep `_KEPT` of the variance of samples (n, k).
 
-    The scale preserves the mean variance of the samples. The rank is 0 where the samples are negligible against
-    `others`, the sum of squares of further samples. With `most` the rank is `most`, or k where k is less.
+    The scale preserves the mean variance of the samples. The rank is 0 if the samples are negligible relative to
+    `others`, the sum of squares of further samples. With `most`, the rank is `most` or k, whichever is less.
     """
     values, vectors = np.linalg.eigh(sampled.T @ sampled)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]

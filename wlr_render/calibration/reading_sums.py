@@ -1,4 +1,4 @@
-"""Sums over the readings of a fit, and the polynomials that their posterior is: from `FitReadings` to `numerics`."""
+"""Sums over the readings of a fit and polynomials of their posterior: the link from `FitReadings` to `numerics`."""
 
 from dataclasses import dataclass
 
@@ -14,12 +14,12 @@ from wlr_render.numerics.posterior import Posterior
 
 @dataclass(frozen=True)
 class Response:
-    """Response of a fit to errors that it does not estimate: k independent standard normal variables.
+    """Response of a fit to errors that it does not estimate, as k independent standard normal variables.
 
     Attributes:
         sources: (k,) name of each error's source.
-        coefficients: (k, 2, columns) of each axis. mixed: (k, columns) of shared unknowns: the parameters of the trend,
-            or the coefficients of mixed polynomials.
+        coefficients: (k, 2, columns) change of each axis' coefficients. mixed: (k, columns) change of shared unknowns,
+            i.e. the parameters of the trend, or the coefficients of mixed polynomials.
     """
 
     sources: tuple[str, ...]
@@ -27,28 +27,28 @@ class Response:
     mixed: FloatArray
 
     def beside(self, other: "Response | None") -> "Response":
-        """Return the errors of another response, then these."""
+        """Return the response to the errors of `other`, followed by these."""
         if other is None:
             return self
         of_axes, mixed = (other.coefficients, self.coefficients), (other.mixed, self.mixed)
         return Response(other.sources + self.sources, np.concatenate(of_axes), np.concatenate(mixed))
 
     def between(self, before: tuple[str, ...], after: tuple[str, ...]) -> "Response":
-        """Return these errors between others, of the sources named, which the fit does not follow."""
+        """Return the response to these errors between others, of named sources, to which the fit does not respond."""
         pad = (len(before), len(after))
         coefficients, mixed = np.pad(self.coefficients, (pad, (0, 0), (0, 0))), np.pad(self.mixed, (pad, (0, 0)))
         return Response(before + self.sources + after, coefficients, mixed)
 
 
 class UndeterminedModelError(BadInputError):
-    """The readings do not determine an unknown that no prior holds."""
+    """Error for readings that do not determine an unknown without a prior."""
 
 
 def free_part(readings: FitReadings) -> Polynomial:
-    """Fit the few free terms by least squares: sums over the small residuals keep more digits.
+    """Fit the few free terms by least squares, because sums over small residuals keep more digits.
 
     Raises:
-        BadInputError: the readings do not determine them.
+        BadInputError: the readings do not determine the free terms.
     """
     orders = readings.orders[readings.free]
     outputs = readings.blocks * (1 if readings.mixed else 2)
@@ -77,7 +77,7 @@ def sums_of(
     captures: int | None = None,
     still: Sums | None = None,
 ) -> Sums:
-    """Return sums over the readings less their free part and trend.
+    """Return sums over the readings minus their free part and trend.
 
     Args:
         readings: the readings.
@@ -85,7 +85,7 @@ def sums_of(
         motion: (n, 2, 6) columns of the motion of each reading's camera; None without motions.
         kept: (n,) weights of the readings.
         captures: number of camera positions; None to count the readings' positions.
-        still: the sums of the same readings and weights without motions, if they are there; saves most of the work.
+        still: sums of the same readings and weights without motions, if available; they save most of the work.
     """
     own = 0 if motion is None else 6
     groups = (captures or int(readings.capture.max()) + 1) if own else 0
@@ -115,13 +115,13 @@ def response_of(
     sums: Sums,
     found: Posterior,
 ) -> Response:
-    """Return how a fit follows errors of its readings.
+    """Return the response of a fit to errors of its readings.
 
     Args:
-        readings: of a model that depends on the place.
-        errors: (n, 2, k) change of `observed` less the model by each. sources: (k,) what each is of.
+        readings: readings of a model that depends on the place.
+        errors: (n, 2, k) change of `observed` minus the model by each error. sources: (k,) source of each error.
         kept: (n,) weights of the fit.
-        sums: over the readings.
+        sums: sums over the readings.
         found: posterior of the fit.
     """
     noise, width = found.noise, found.sizes[len(found.side_used) :] / found.noise
@@ -136,7 +136,7 @@ def response_of(
             of_trend = readings.shared_columns(rows)[:, :, :parameters]
             by_trend += of_trend.reshape(-1, parameters).T @ weighted.reshape(-1, k)
     normal = width[:, None] * sums.gram * width + np.eye(columns)
-    # Coefficients first, for each axis; then the trend's parameters by the Schur complement.
+    # Solve for each axis' coefficients first, then for the trend's parameters by the Schur complement.
     cross = [width[:, None] * each[:parameters].T for each in sums.side_cross]
     pull = [width[:, None] * each for each in moment]
     follow = [np.linalg.solve(normal, np.hstack(each)) for each in zip(pull, cross, strict=True)]
@@ -169,7 +169,7 @@ def polynomial_of(readings: FitReadings, start: Polynomial, found: Posterior) ->
 
 
 def label_values(readings: FitReadings, found: Posterior) -> FloatArray:
-    """Errors by label (n, 2) of readings, as a posterior has them."""
+    """Return the posterior mean of the readings' errors by label (n, 2)."""
     own, changes = readings.coefficients, np.zeros_like(readings.observed)
     for term in readings.axis_terms:
         changes += term.columns @ found.mean[:, own : own + len(term.offset)].T

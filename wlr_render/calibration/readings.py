@@ -1,4 +1,4 @@
-"""Readings of captures as linear equations in the coefficients of polynomials: what every fit starts from."""
+"""Readings of captures as linear equations in the coefficients of polynomials, the input of every fit."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -16,20 +16,20 @@ from wlr_render.numerics.evidence import Weights
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_orders
 from wlr_render.numerics.shared_noise import SharedNoise
 
-_CHUNK = 4_096  # readings whose design is held at once
+_CHUNK = 4_096  # number of readings whose design is in memory at a time
 _FLAT_M, _FLAT = 1e-6, 0.03
-"""Extent of the places along an axis that counts as none: metres, and of the widest axis."""
-_THIN = 0.003  # share of the extent along the best line or plane: the size of a stage's errors
-_UNKNOWN_EXTENT_M = 0.01  # extent of places where all captures have the same one: an eye box
-_BOX_MARGIN = 0.025  # share of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
+"""Largest negligible extent of places along an axis, in metres and relative to the widest axis."""
+_THIN = 0.003  # largest scatter due to stage errors, relative to the extent along the best-fit line or plane
+_UNKNOWN_EXTENT_M = 0.01  # assumed extent of places if all captures have the same one: an eye box
+_BOX_MARGIN = 0.025  # margin per side, as a share of the box: half a cell of a grid of 20 samples across the panel
 
 
 def angular_metric(tangents: FloatArray) -> FloatArray:
-    """Arcminutes per unit of tangent at tangents (n, 2): (n,).
+    """Return the arcminutes (n,) per unit of tangent at tangents (n, 2).
 
-    With n^2 = 1 + tx^2 + ty^2 a small step of tangents is an angle of 1 / n^2 of it radially and 1 / n across; camera
-    noise is the same in both. Their geometric mean is taken (within 8 % of either at 30 degrees off axis), so that one
-    design serves both outputs.
+    With n^2 = 1 + tx^2 + ty^2, a small step of tangents is an angle of 1 / n^2 times the step radially, and of 1 / n
+    times the step across; camera noise is the same in both directions. The result is the geometric mean (within 8 % of
+    either at 30 degrees off axis), so that both outputs can share one design.
     """
     square = 1.0 + np.sum(tangents**2, axis=-1)
     return np.asarray(square**-0.75 / ARCMIN)
@@ -40,8 +40,8 @@ class Limits:
     """Highest orders of a fit.
 
     Attributes:
-        pixel: joint order of the pixel's or direction's variables. place: of the place's. total: of all; negative for
-            no terms at all.
+        pixel: joint order of the pixel's or direction's variables. place: joint order of the place's variables. total:
+            joint order of all variables; negative for no terms.
     """
 
     pixel: int
@@ -49,7 +49,7 @@ class Limits:
     total: int
 
     def orders(self, pixels: int, places: int) -> IntArray:
-        """(terms, pixels + places) for numbers of variables."""
+        """Return the orders (terms, pixels + places) for these numbers of variables."""
         if self.total < 0:
             return np.zeros((0, pixels + places), np.int64)
         return limited_orders(pixels, self.pixel, places, self.place, self.total)
@@ -64,10 +64,10 @@ class Limits:
 
 
 TREND_ALONE = Limits(-1, -1, -1)
-"""No terms: the trend alone."""
+"""Limits without terms, for the trend alone."""
 Respond = Callable[[FloatArray, FloatArray, slice], FloatArray]
-"""(slope of the modelled values (r, 2, variables), change of the view tangents (r, 2, k), the r rows) -> (r, 2, 3 + k):
-by how much `observed` less the model changes with a shift of the camera, metres, and with that change of tangents."""
+"""(slope of the modelled values (r, 2, variables), change of the view tangents (r, 2, k), the r rows) -> (r, 2, 3 + k),
+change of `observed` minus the model with a shift of the camera, metres, and with this change of tangents."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Trend:
     """Prior mean of a model with unknown parameters, e.g. a prescription with its assembly errors.
 
     Attributes:
-        mean: inputs -> outputs, where the parameters are at their prior mean.
+        mean: inputs -> outputs, for parameters at their prior mean.
         by_parameter: inputs -> (outputs * parameters), change per prior standard deviation of each parameter.
     """
 
@@ -83,11 +83,11 @@ class Trend:
     by_parameter: Polynomial
 
     def about(self, mean: FloatArray, root: FloatArray) -> "Trend":
-        """Return the trend in other parameters q, standard normal before the fit: parameters = mean + root @ q.
+        """Return the trend in other parameters q with a standard normal prior, where parameters = mean + root @ q.
 
         Args:
-            mean: (parameters,).
-            root: (parameters, parameters).
+            mean: (parameters,) prior mean of the parameters.
+            root: (parameters, parameters) root of their prior covariance.
         """
         orders, box = self.by_parameter.orders, self.by_parameter.box
         change = self.by_parameter.coefficients.reshape(len(orders), -1, self.parameters)
@@ -102,13 +102,13 @@ class Trend:
 
 @dataclass(frozen=True)
 class Common:
-    """Errors that the captures share, k standard normal variables. A fit follows them; it does not find them.
+    """Errors common to all captures, as k standard normal variables to which a fit responds without estimating them.
 
-    As unknowns they would get spurious estimates: from the prior, which finds optics a little smoother from shifted
+    As unknowns, they would get spurious estimates: from the prior, which finds optics slightly smoother from shifted
     viewpoints, or from the noise of the tangents in their columns (decision 9).
 
     Attributes:
-        columns: (slope of the modelled values (n, 2, variables)) -> (n, 2, k): change of `observed` less the model
+        columns: (slope of the modelled values (n, 2, variables)) -> (n, 2, k), change of `observed` minus the model
             with each error.
         sources: (k,) name of each error's source.
     """
@@ -122,23 +122,24 @@ class FitReadings:
     """observed = sum over blocks b of multiplier_b * polynomial_b(inputs), for n readings of two tangents.
 
     Attributes:
-        inputs: (n, variables).
-        is_place: (variables,) whether a variable is of the place, else of the pixel or direction.
-        observed: (n, 2).
+        inputs: (n, variables) inputs of the polynomials.
+        is_place: (variables,) True for variables of the place, False for variables of the pixel or direction.
+        observed: (n, 2) two tangents of each reading.
         multiplier: (n, blocks) for both tangents, or (n, 2, blocks) for polynomials of one output each.
         metric: (n,) arcminutes per unit of `observed`.
-        sigma: (n,) arcminutes; all zero for exact data.
+        sigma: (n,) standard deviation, arcminutes; all zero for exact data.
         capture: (n,) indices 0..captures - 1; the readings of a capture share a motion of the camera.
-        motion: (slope of the modelled values (n, 2, variables)) -> (n, 2, 6): change of `observed` less the model
-            with a shift (metres) and a turn (radians) of the camera; None where no motion is modelled.
-        orders: (terms, variables) of the fit.
+        motion: (slope of the modelled values (n, 2, variables)) -> (n, 2, 6), change of `observed` minus the model with
+            a shift (metres) and a turn (radians) of the camera; None if no motion is modelled.
+        orders: (terms, variables) orders of the fit's terms.
         trend: prior mean of the model with its unknown parameters; None for no trend.
         motion_prior: prior of the motions, by index of `capture`; None for the prior of an unknown stage.
-        common: errors that all captures share; None where none are known.
-        shared: noise that neighbouring readings of a capture share, as a fit found it; None for white noise.
+        common: errors common to all captures; None if unknown.
+        shared: noise that neighbouring readings of a capture share, estimated by a fit; None for white noise.
         axis_terms: errors by label with separate unknowns for each tangent.
-        joint_terms: errors by label that both tangents share. stage_terms: likewise, of the stage; see `moving`.
-        stage: labels of the stage; None where no motion is modelled.
+        joint_terms: errors by label with unknowns common to both tangents. stage_terms: such errors of the stage; see
+            `moving`.
+        stage: labels of the stage; None if no motion is modelled.
     """
 
     inputs: FloatArray
@@ -164,7 +165,7 @@ class FitReadings:
 
     @property
     def limits(self) -> Limits:
-        """The narrowest limits that the orders keep."""
+        """Narrowest limits that include all orders."""
         parts = self.orders[:, ~self.is_place], self.orders[:, self.is_place], self.orders
         pixel, place, total = (int(part.sum(axis=1).max(initial=-1)) for part in parts)
         return Limits(pixel, place, total)
@@ -188,13 +189,13 @@ class FitReadings:
 
     @cached_property
     def weight(self) -> FloatArray:
-        """(n,) one over sigma, in units of `observed`; sigma 1' where the data are exact."""
+        """Inverse sigma (n,), in units of `observed`, with a sigma of 1' for exact data."""
         sigma = self.sigma if np.any(self.sigma > 0) else np.ones(len(self))
         return np.asarray(self.metric / sigma)
 
     @cached_property
     def free(self) -> BoolArray:
-        """(terms,) constant and slopes in pixel or direction: their prior size is one unit. All False with a trend."""
+        """Mask (terms,) of constant and slopes in pixel or direction, of prior size one; all False with a trend."""
         at_place = self.orders[:, self.is_place].any(axis=1)
         return np.asarray(~at_place & (self.orders.sum(axis=1) <= 1) & (self.trend is None))
 
@@ -210,16 +211,16 @@ class FitReadings:
         return chosen.within(self.box)
 
     def with_shared(self, shared: SharedNoise | None) -> "FitReadings":
-        """Return the same readings with other noise that neighbours share."""
+        """Return the readings with other noise shared by neighbours."""
         return replace(self, shared=shared).within(self.box)
 
     @property
     def coefficients(self) -> int:
-        """Number of coefficients of the polynomials that are an output's own; errors by label come after them."""
+        """Number of polynomial coefficients separate for each output; errors by label come after them."""
         return 0 if self.mixed else self.blocks * len(self.orders)
 
     def design(self, rows: slice | IntArray) -> FloatArray:
-        """Return the columns of an output's separate unknowns: coefficients, see `design_of`, then errors by label."""
+        """Return the columns of an output's separate unknowns: coefficients (`design_of`), then errors by label."""
         design = design_of(self, rows, basis(self.inputs[rows], self.orders, self.box))
         if not self.axis_terms:
             return design
@@ -227,16 +228,16 @@ class FitReadings:
 
     @property
     def parameters(self) -> int:
-        """Number of model unknowns that both outputs share: trend parameters, or coefficients of mixed polynomials."""
+        """Number of model unknowns common to both outputs: trend parameters, or mixed polynomials' coefficients."""
         return self.blocks * len(self.orders) if self.mixed else self.trend.parameters if self.trend else 0
 
     @property
     def shared_terms(self) -> tuple[LabelTerm, ...]:
-        """All errors by label that both outputs share; their unknowns come after `parameters`."""
+        """All errors by label common to both outputs; their unknowns come after `parameters`."""
         return self.joint_terms + self.stage_terms
 
     def shared_columns(self, rows: slice | IntArray) -> FloatArray:
-        """Columns (r, 2, k) of what outputs share, without motions: parameters of the model, then errors by label."""
+        """Return columns (r, 2, k) of unknowns common to both outputs: parameters, then errors by label; no motions."""
         parts = [each.columns[rows] for each in self.shared_terms]
         if self.mixed:
             parts.insert(0, self.design(rows))
@@ -247,21 +248,21 @@ class FitReadings:
         return np.concatenate(parts, axis=2) if parts else np.zeros((len(self.inputs[rows]), 2, 0))
 
     def moving(self, columns: FloatArray) -> "FitReadings":
-        """Return the same readings with errors of the stage's labels, by the columns (n, 2, 6) of motions."""
+        """Return the readings with errors of the stage's labels, from the columns (n, 2, 6) of motions."""
         if self.stage is None:
             return self
         return replace(self, stage_terms=tuple(self.stage.terms(columns[:, :, :3]))).within(self.box)
 
     @property
     def image(self) -> FloatArray:
-        """Places (n, 2) in the image, by which readings are neighbours: pixels or directions."""
+        """Positions (n, 2) in the image, pixels or directions, which determine neighbours."""
         return self.inputs[:, ~self.is_place]
 
     def blocks_of_noise(self, kept: FloatArray) -> Iterator[tuple[IntArray, Weights]]:
-        """Yield the readings whose noise is independent of all others', with their weight as `Sums.add` takes it.
+        """Yield groups of readings with independent noise between groups, with weights in the form for `Sums.add`.
 
         Args:
-            kept: (n,) weights, 1 down to 0 for outliers.
+            kept: (n,) weights, from 1 down to 0 for outliers.
         """
         if self.shared is None:
             for first in range(0, len(self), _CHUNK):
@@ -276,7 +277,7 @@ class FitReadings:
             yield np.concatenate(some), roots
 
     def within(self, box: Box) -> "FitReadings":
-        """Return the same readings in another box: coefficients and their priors mean the same as of readings in it."""
+        """Return the readings in another box, for coefficients and priors comparable with readings in that box."""
         changed = replace(self)
         changed.__dict__["box"] = box
         return changed
@@ -286,18 +287,18 @@ class FitReadings:
         return self._combined(polynomial(self.inputs))[..., 0]
 
     def slopes(self, polynomial: Polynomial) -> FloatArray:
-        """Return the derivative of `values` by the inputs, (n, 2, variables)."""
+        """Return the derivative (n, 2, variables) of `values` by the inputs."""
         return self._combined(polynomial.with_jacobian(self.inputs)[1])
 
     def _combined(self, value: FloatArray) -> FloatArray:
-        """(n, outputs, ...) of the blocks -> (n, 2, k)."""
+        """Combine values (n, outputs of all blocks, ...) of the blocks to (n, 2, k)."""
         value = value.reshape(len(self), self.blocks, 1 if self.mixed else 2, -1)
         equation = "nrb,nbok->nrk" if self.mixed else "nb,nbok->nok"
         return np.asarray(np.einsum(equation, self.multiplier, value))
 
 
 def flat_places(inputs: FloatArray, is_place: BoolArray) -> BoolArray:
-    """Variables (variables,) of the place along which inputs (n, variables) have no extent to speak of."""
+    """Return the mask (variables,) of place variables along which inputs (n, variables) have negligible extent."""
     extent = np.ptp(inputs, axis=0)
     widest = float(extent[is_place].max(initial=0.0))
     return np.asarray(is_place & (extent <= max(_FLAT_M, _FLAT * widest)))
@@ -306,7 +307,7 @@ def flat_places(inputs: FloatArray, is_place: BoolArray) -> BoolArray:
 def without_thickness(place: FloatArray) -> FloatArray:
     """Return places (n, k) projected onto their best-fit line or plane if their scatter across it is negligible.
 
-    This scatter consists of stage errors only; a fit would mistake them for a dependence on the place.
+    Such scatter consists only of stage errors, which a fit would mistake for a dependence on the place.
     """
     centre = place.mean(axis=0)
     _, extent, axes = np.linalg.svd(place - centre, full_matrices=False)
@@ -315,7 +316,7 @@ def without_thickness(place: FloatArray) -> FloatArray:
 
 
 def fitted_box(inputs: FloatArray, is_place: BoolArray) -> Box:
-    """Return the box of a fit to inputs (n, variables); flat axes of the place get the widest axis's extent."""
+    """Return the box of a fit to inputs (n, variables); flat axes of the place get the extent of the widest axis."""
     box, flat = Box.around(inputs), flat_places(inputs, is_place)
     if flat.any():
         known = is_place & ~flat
@@ -327,14 +328,17 @@ def fitted_box(inputs: FloatArray, is_place: BoolArray) -> Box:
 
 
 def design_of(readings: FitReadings, rows: slice | IntArray, phi: FloatArray) -> FloatArray:
-    """Columns of all blocks: (rows, blocks * terms), or (rows, 2, blocks * terms) if mixed; phi is (rows, terms)."""
+    """Return the columns of all blocks, (rows, blocks * terms), or (rows, 2, blocks * terms) if mixed.
+
+    `phi` (rows, terms) has the values of the terms.
+    """
     multiplier = readings.multiplier[rows]
     design = multiplier[..., None] * (phi[:, None, None] if readings.mixed else phi[:, None])
     return np.asarray(design.reshape(*multiplier.shape[:-1], -1))
 
 
 def motion_of(tangents: FloatArray, respond: Respond) -> Callable[[FloatArray], FloatArray]:
-    """`FitReadings.motion` of readings with view tangents (n, 2)."""
+    """Return `FitReadings.motion` for readings with view tangents (n, 2)."""
     return lambda slope: respond(slope, tangents_by_turn(tangents), slice(None))
 
 
@@ -343,12 +347,12 @@ def common_of(
     respond: Respond,
     by_point: Callable[[slice], FloatArray] | None = None,
 ) -> Common | None:
-    """Return common errors of captures in the readings of a model that depends on the place; None without any.
+    """Return the common errors of captures for readings of a model that depends on the place; None without any.
 
     Args:
         captures: the measured captures.
         respond: see `Respond`.
-        by_point: (rows) -> (r, 2, 3) likewise by the real point; None for the panel.
+        by_point: (rows) -> (r, 2, 3), change of `observed` minus the model by the real point; None for the panel.
     """
     common = captures.common
     if common is None:
@@ -369,12 +373,12 @@ def common_of(
 
 
 def motion_columns(readings: FitReadings, polynomial: Polynomial) -> FloatArray:
-    """Columns (n, 2, 6) of a shift and turn of the camera, by the slopes of a polynomial."""
+    """Return the columns (n, 2, 6) of a shift and turn of the camera, from the slopes of a polynomial."""
     assert readings.motion is not None
     return readings.motion(readings.slopes(polynomial))
 
 
 def rows_by_capture(capture: IntArray) -> list[IntArray]:
-    """Rows of each capture in turn, from the index (n,) of each row's capture."""
+    """Return the rows of each capture, from the capture index (n,) of each row."""
     order = np.argsort(capture, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(capture[order])) + 1)

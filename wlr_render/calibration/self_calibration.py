@@ -1,20 +1,20 @@
-"""Self-calibration in use: from a few clicks to the parameters that move while a headset is worn.
+"""Self-calibration in use: estimates, from a few clicks, of the parameters that change while a headset is worn.
 
-A click is a real point, and the panel pixel that the wearer sees on it: he moved a drawn dot there, or a camera behind
-the optics found it. With the tracked viewpoint v, the display direction D and the see-through direction S, it says
+A click is a real point and the panel pixel that the wearer sees on it: the wearer moved a drawn dot there, or a camera
+behind the optics found it. With the tracked viewpoint v, the display direction D and the see-through direction S, it
+states
 
     D(pixel + shift + growth (pixel - middle), v + offset) = S(turn point, v + offset) + pointing + noise
 
-    offset    of the entrance pupil from the tracked one: a slip of the headset changes it
-    shift     of the panel's light, and its growth about the panel's middle: warmth
+    offset    of the entrance pupil from the tracked one, which a slip of the headset changes
+    shift     of the panel's light, and its growth about the panel's middle, due to warming
     turn      of the headset against its head tracker
     pointing  the wearer's own constant error, which is estimated and never corrected
 
 Shift, the turn about x and y, and pointing are nearly degenerate: the priors divide a constant angle among them. Only
-dots at several depths separate offset from shift, and growth from an offset along z. An update is the Gaussian
-maximum a posteriori by Gauss-Newton steps; wrong clicks, and a slip that nobody announced, are found by their evidence.
-Errors of the models are the same in all clicks of a place: they enter through the models' own covariance, with the
-correlation between clicks.
+dots at several depths separate offset from shift, and growth from an offset along z. An update is the Gaussian maximum
+a posteriori by Gauss-Newton steps; evidence detects wrong clicks and unannounced slips. Errors of the models are equal
+in all clicks at one place: they enter through the models' own covariance, with the correlation between clicks.
 """
 
 import math
@@ -35,40 +35,42 @@ from wlr_render.numerics.arrays import FloatArray, finite_array
 from wlr_render.numerics.wrong_pairs import wrong_pairs
 
 OFFSET, SHIFT, GROWTH, TURN, POINTING = slice(0, 3), slice(3, 5), slice(5, 6), slice(6, 9), slice(9, 11)
-"""Places in the vector of parameters: metres, pixels, a ratio, radians, arcminutes."""
+"""Slices of the vector of parameters, in metres, pixels, a ratio, radians and arcminutes."""
 PARAMETERS = 11
 
 _STEPS = np.repeat([1e-5, 1e-2, 1e-5, 1e-5, 1e-2], [3, 2, 1, 3, 2])  # steps of central differences, per parameter
 _ITERATIONS = 30  # most steps of Gauss-Newton
-_STILL_ARCMIN = 1e-7  # change of the predicted clicks that ends the iteration
-_SETTLED = 0.01  # last change, in a click's scatter, that leaves a result: it adds 1 % of the error
-_NEAREST_M, _FARTHEST_M = 0.05, 100.0  # real points that a wearer clicks on; others are in another unit
-_FAR_FROM_BOX_M = 0.05  # distance of a pupil beyond the eye box, ten slips of a headset: another frame or unit
-_FARTHEST_CLICK_ARCMIN = 300.0  # largest error of a click, 5 degrees: beyond, pixel and point do not belong together
+_STILL_ARCMIN = 1e-7  # change of the predicted clicks below which the iteration ends
+_SETTLED = 0.01  # largest last change of a usable result, in the scatter of a click; it adds 1 % of the error
+_NEAREST_M, _FARTHEST_M = 0.05, 100.0  # distances of real points that a wearer clicks on; others are in another unit
+_FAR_FROM_BOX_M = 0.05  # largest distance of a pupil from the eye box, ten slips; beyond it, frame or unit is wrong
+_FARTHEST_CLICK_ARCMIN = 300.0  # largest error of a click; beyond 5 degrees, pixel and point do not belong together
 _LEAST_SIGMA_ARCMIN = 0.05  # least sigma of a click; a smaller one is implausible and lost to rounding
 
 
 @dataclass(frozen=True)
 class WearSettings:
-    """Standard deviations of what moves in use, per axis, and what counts as a wrong click. Zero keeps a parameter.
+    """Standard deviations, per axis, of the parameters that change in use, and properties of wrong clicks and slips.
+
+    A standard deviation of zero keeps a parameter fixed.
 
     Attributes:
-        offset_m: of the tracked viewpoint when the headset is put on: an eye tracker that was calibrated before.
-        shift_px: of the panel: plays of the mount, and a day's temperatures.
-        growth: of the panel: a pixel at the border of a panel of 2000 pixels.
-        turn_arcmin: of the head tracker against the headset.
-        pointing_arcmin: the wearer's constant error. It limits what clicks can tell of a constant angle.
-        tracking_m: of the tracked viewpoint from click to click: noise, and errors that follow the gaze.
+        offset_m: offset of the tracked viewpoint when the headset is put on, for a previously calibrated eye tracker.
+        shift_px: shift of the panel, due to play of the mount and a day's temperatures.
+        growth: growth of the panel: a pixel at the border of a panel of 2000 pixels.
+        turn_arcmin: rotation of the head tracker relative to the headset.
+        pointing_arcmin: constant error of the wearer, which limits estimates of a constant angle from clicks.
+        tracking_m: error of the tracked viewpoint from click to click: noise, and errors that follow the gaze.
         slip_m: change of the offset by a slip. Glasses slip by 0.26 to 4.05 mm in everyday tasks ("Slippage of
             head-worn glasses during real-world behavior": 35 wearers, 10 tasks).
-        offset_drift_m, shift_drift_px, growth_drift, turn_drift_arcmin: growth of these in an hour, as the square root
-            of time: 2 px for a panel that warms, an assumption.
-        click_arcmin: of a click. Crosshairs that a wearer moves with the head scatter by 6' to 12' over both axes
-            (docs/measured-data.md, alignments of a wearer); a dot that is nudged moves by pixels of 1' to 2'.
-        outlier_share: of clicks that are wrong.
-        outlier_arcmin: their scatter: another dot, or a click before the dot was moved.
-        slip_share: of updates before which the headset has slipped and `slipped` was not called. Who clicks has mostly
-            seen that something is wrong.
+        offset_drift_m, shift_drift_px, growth_drift, turn_drift_arcmin: drift of these parameters in an hour, growing
+            with the square root of time; 2 px for a panel that warms is an assumption.
+        click_arcmin: scatter of a click. Crosshairs that a wearer moves with the head scatter by 6' to 12' over both
+            axes (docs/measured-data.md, alignments of a wearer); a dot that is nudged moves by pixels of 1' to 2'.
+        outlier_share: share of wrong clicks.
+        outlier_arcmin: scatter of wrong clicks, on another dot or before the dot was moved.
+        slip_share: share of updates after a slip for which `slipped` was not called; wearers mostly click when they
+            have noticed an error.
     """
 
     offset_m: float = 1e-3
@@ -104,12 +106,12 @@ class WearSettings:
 
     @property
     def per_hour(self) -> FloatArray:
-        """Variances (PARAMETERS,) that an hour adds."""
+        """Variances (PARAMETERS,) added per hour."""
         return _variances(self.offset_drift_m, self.shift_drift_px, self.growth_drift, self.turn_drift_arcmin, 0.0)
 
     @property
     def by_slip(self) -> FloatArray:
-        """Variances (PARAMETERS,) that a slip adds."""
+        """Variances (PARAMETERS,) added by a slip."""
         return _variances(self.slip_m, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -120,17 +122,17 @@ def _variances(offset_m: float, shift_px: float, growth: float, turn_arcmin: flo
 PANEL_KEPT = WearSettings(
     shift_px=0.0, growth=0.0, shift_drift_px=0.0, growth_drift=0.0, turn_arcmin=4.0, turn_drift_arcmin=4.0
 )
-"""Settings with which the models stay as calibrated: a shift of the panel counts as a turn, which it nearly is."""
+"""Settings that keep the calibrated models: a shift of the panel is described as a turn, which is nearly equivalent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clicks:
-    """Panel pixels that are seen on real points.
+    """Panel pixels that a wearer sees on real points.
 
     Attributes:
         pixel: (n, 2) panel pixels.
-        point: (n, 3) real points, device frame as the head tracker has it, metres.
-        viewpoint: (n, 3) entrance pupils as the eye tracker has them, device frame, metres; or (3,) for all clicks.
+        point: (n, 3) real points in the device frame according to the head tracker, metres.
+        viewpoint: (n, 3) entrance pupils according to the eye tracker, device frame, metres; or (3,) for all clicks.
     """
 
     pixel: FloatArray
@@ -151,18 +153,18 @@ class Clicks:
 
 @dataclass(frozen=True, eq=False)
 class WearState:
-    """Gaussian state of the parameters that move after the calibration of one eye; `begin` makes the first.
+    """Gaussian state of the parameters that change after the calibration of one eye; `begin` makes the first state.
 
     Draw with `viewpoint`, `pose` and `corrected` in place of the tracked viewpoint, the tracked pose and the calibrated
     mappings.
 
     Attributes:
-        calibrated: the mappings as calibrated.
-        settings: how much moves.
-        mean: (PARAMETERS,) see the module's slices.
-        covariance: (PARAMETERS, PARAMETERS).
-        outliers: numbers, from 0, of the clicks of the last update that contradict the others, and weighed less.
-        has_slipped: whether the last update found a slip that was not announced by `slipped`.
+        calibrated: the calibrated mappings.
+        settings: expected sizes of the changes.
+        mean: (PARAMETERS,) mean of the parameters, see the module's slices.
+        covariance: (PARAMETERS, PARAMETERS) covariance of the parameters.
+        outliers: numbers, from 0, of clicks in the last update that contradict the others and got less weight.
+        has_slipped: True if the last update detected a slip that `slipped` did not announce.
     """
 
     calibrated: Eye
@@ -174,17 +176,17 @@ class WearState:
 
     @classmethod
     def begin(cls, calibrated: Eye, settings: WearSettings = WearSettings()) -> "WearState":
-        """Return the state when the headset is put on: nothing has moved, and all of it may have."""
+        """Return the state when the headset is put on: zero means with the variances `WearSettings.at_start`."""
         return cls(calibrated, settings, np.zeros(PARAMETERS), np.diag(settings.at_start))
 
     def carried(self, seconds: float) -> "WearState":
-        """Return the state some seconds later: the variances have grown."""
+        """Return the state some seconds later, with larger variances."""
         if not (math.isfinite(seconds) and seconds >= 0):
             raise BadInputError(f"the time that has passed is {shown(seconds)} s; give zero or more seconds.")
         return self._with_added(self.settings.per_hour * (seconds / 3600.0))
 
     def slipped(self) -> "WearState":
-        """Return the state after a slip of the headset: the offset may be another one."""
+        """Return the state after a slip of the headset, with a larger variance of the offset."""
         return self._with_added(self.settings.by_slip)
 
     def updated(self, clicks: Clicks, click_arcmin: float | None = None) -> "WearState":
@@ -192,11 +194,11 @@ class WearState:
 
         Args:
             clicks: the new clicks.
-            click_arcmin: scatter per axis; None for `settings.click_arcmin`.
+            click_arcmin: scatter of a click per axis; None for `settings.click_arcmin`.
 
         Raises:
-            BadInputError: a click outside the panel or the field of view, a point or viewpoint that is not in metres,
-                or clicks that contradict each other.
+            BadInputError: a click is outside the panel or the field of view, a point or viewpoint is not in metres, or
+                clicks contradict each other.
         """
         sigma = self.settings.click_arcmin if click_arcmin is None else click_arcmin
         if not (math.isfinite(sigma) and sigma >= _LEAST_SIGMA_ARCMIN):
@@ -227,7 +229,7 @@ class WearState:
         )
 
     def viewpoint(self, tracked: FloatArray) -> FloatArray:
-        """Entrance pupils (..., 3) in the device frame for tracked ones, metres."""
+        """Return entrance pupils (..., 3) for tracked ones, device frame, metres."""
         return np.asarray(tracked + self.mean[OFFSET])
 
     def pose(self, world_from_device: FloatArray) -> FloatArray:
@@ -236,14 +238,14 @@ class WearState:
         return np.asarray(world_from_device @ transforms.rigid(turn.T, np.zeros(3)))
 
     def corrected(self, mappings: Eye) -> Eye:
-        """Calibrated mappings, of any colour, with the panel where it is now; for corrected viewpoints and poses."""
+        """Return calibrated mappings, of any colour, with the panel moved; for corrected viewpoints and poses."""
         display = MovedPanelDisplay(mappings.display, self.mean[SHIFT], float(self.mean[GROWTH][0]))
         return replace(mappings, display=display)
 
     def pixel(self, point: FloatArray, tracked: FloatArray) -> FloatArray:
         """Return panel pixels (..., 2) that cover real points (..., 3) at tracked viewpoints (..., 3), or NaN.
 
-        Points in the device frame as the head tracker has it, metres.
+        Points are in the device frame according to the head tracker, metres.
         """
         viewpoint = self.viewpoint(tracked)
         turned = point @ transforms.rotations_of_vectors(self.mean[TURN]).T
@@ -253,8 +255,8 @@ class WearState:
     def sigma_arcmin(self, point: FloatArray, tracked: FloatArray) -> FloatArray:
         """Return the expected misalignment (n,) of points (n, 3) from tracked viewpoints (n, 3), rms over both axes.
 
-        It combines the state's covariance without pointing, the eye tracker's noise and the models' covariance. Ask for
-        clicks where it exceeds your tolerance.
+        It combines the state's covariance without pointing, the eye tracker's noise and the models' covariance. Request
+        clicks where it exceeds the tolerance.
         """
         pixel = self.pixel(point, tracked)
         rows = np.flatnonzero(np.isfinite(pixel).all(axis=1))
@@ -274,7 +276,7 @@ class WearState:
         return replace(self, covariance=self.covariance + np.diag(variances), outliers=(), has_slipped=False)
 
     def _directions(self, parameters: FloatArray, clicks: Clicks) -> tuple[FloatArray, FloatArray]:
-        """Directions (..., n, 3) of clicked pixels and of their points, for parameters (..., 1, PARAMETERS)."""
+        """Return directions (..., n, 3) of clicked pixels and of their points, for parameters (..., 1, PARAMETERS)."""
         display, see_through = self.calibrated.display, self.calibrated.see_through
         viewpoint = clicks.viewpoint + parameters[..., OFFSET]
         pixel = pixel_at_calibration(clicks.pixel, display.panel, parameters[..., SHIFT], parameters[..., GROWTH])
@@ -284,7 +286,7 @@ class WearState:
         return displayed.value, see_through.view_dir_of_real_point(point, viewpoint).value
 
     def _linearised(self, mean: FloatArray, clicks: Clicks) -> tuple[FloatArray, FloatArray]:
-        """Return the registration errors of the clicks, (2 n,) arcmin, and their derivative by the parameters."""
+        """Return the registration errors (2 n,) of the clicks, arcmin, and their derivative by the parameters."""
         steps = np.concatenate([np.zeros((1, PARAMETERS)), np.diag(_STEPS), -np.diag(_STEPS)])
         displayed, seen = self._directions((mean + steps)[:, None], clicks)
         axes = right_and_up(seen[0]) / ARCMIN
@@ -293,7 +295,7 @@ class WearState:
         return flat[0], ((flat[1 : 1 + PARAMETERS] - flat[1 + PARAMETERS :]) / (2.0 * _STEPS[:, None])).T
 
     def _changes_of_models(self, clicks: Clicks) -> FloatArray:
-        """Return changes (n, 2, k) of the gap in arcmin by the independent variables of the models' covariance."""
+        """Return changes (n, 2, k) of the registration errors, arcmin, by the variables of the models' covariance."""
         display, see_through = self.calibrated.display, self.calibrated.see_through
         if not isinstance(display, FittedDisplay) or not isinstance(see_through, FittedSeeThrough):
             return np.zeros((len(clicks.pixel), 2, 0))
@@ -302,12 +304,12 @@ class WearState:
         return registration_changes(display, see_through, clicks.pixel, self.viewpoint(clicks.viewpoint), clicks.point)
 
     def _tracking_noise(self, slope: FloatArray) -> FloatArray:
-        """Covariance (2 n, 2 n) of clicks by the eye tracker's noise, independent between clicks."""
+        """Return the covariance (2 n, 2 n) of clicks due to the eye tracker's noise, independent between clicks."""
         by_offset = slope.reshape(-1, 2, PARAMETERS)[..., OFFSET] * self.settings.tracking_m
         return np.asarray(scipy.linalg.block_diag(*(by_offset @ by_offset.transpose(0, 2, 1))))
 
     def _fitted(self, clicks: Clicks, sigma_arcmin: float, prior: FloatArray, log_prior: float) -> "_Fitted":
-        """Find the posterior by Gauss-Newton steps; which clicks are wrong is chosen again after each step."""
+        """Find the posterior by Gauss-Newton steps, with a new choice of wrong clicks in each step."""
         count = len(clicks.pixel)
         changes = self._changes_of_models(clicks).reshape(2 * count, -1)
         noise = changes @ changes.T + sigma_arcmin**2 * np.eye(2 * count)
@@ -369,7 +371,7 @@ class WearState:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A posterior: mean, covariance, wrong clicks, the logarithm of its evidence times its prior odds, convergence."""
+    """A posterior: mean, covariance, wrong clicks, log of evidence times prior odds, and convergence."""
 
     mean: FloatArray
     covariance: FloatArray

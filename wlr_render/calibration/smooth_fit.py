@@ -1,9 +1,9 @@
-"""A smooth polynomial fitted to captures by maximum evidence: one mechanism for all kinds of models.
+"""A smooth polynomial fitted to captures by maximum evidence, the same for all kinds of models.
 
-The readings decide how smooth the optics are (`smooth_prior.py`). A small shift and turn of the camera in each capture
-is unknown, too; its size is the repeatability of the stage, which the captures state or the fit estimates. The readings
-also determine which terms matter (`smooth_search.py`). No design is refused: where camera positions are
-few, the posterior is wide.
+The readings determine how smooth the optics are (`smooth_prior.py`). A small shift and turn of the camera in each
+capture is also unknown; its size is the repeatability of the stage, which the captures state or the fit estimates. The
+readings also determine which terms matter (`smooth_search.py`). No design is refused: with few camera positions, the
+posterior is wide.
 """
 
 from collections.abc import Mapping
@@ -32,33 +32,32 @@ from wlr_render.numerics.evidence import Prior, Sums, posterior
 from wlr_render.numerics.polynomial import Polynomial, basis
 from wlr_render.numerics.posterior import Posterior
 
-_BEYOND = 0.05  # share of a fit's variance that is expected of the terms beyond its own before it gets more of them
-_UNSEEN = 0.1  # share of the least noise that the missing terms may always add
-_SETTLED = 0.02  # largest distance of a logarithm from its optimum where the search for it ends
-_SIDES_DIFFER = 0.1  # logarithm of the sizes of the stage's errors in the display's captures over the others'
-_CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
+_BEYOND = 0.05  # share of a fit's variance expected from missing terms above which the fit gets more terms
+_UNSEEN = 0.1  # error that missing terms may always add, as a share of the least noise
+_SETTLED = 0.02  # largest distance of a logarithm from its optimum at the end of the search
+_SIDES_DIFFER = 0.1  # sigma of the log ratio of stage errors between display and see-through captures
+_CONTRADICTION_ARCMIN = 30.0  # noise that exceeds any camera's
 
 
 @dataclass(frozen=True)
 class SmoothFit:
-    """A fitted polynomial with its posterior covariance, and the errors of the bench that the fit found.
+    """A fitted polynomial with its posterior covariance, and the estimated errors of the bench.
 
     Attributes:
-        polynomial: outputs of block 0, then block 1, and so on.
-        posterior: of coefficients, motions and hyperparameters.
+        polynomial: polynomial with the outputs of block 0, then block 1, and so on.
+        posterior: posterior of coefficients, motions and hyperparameters.
         readings: the fitted readings.
         kept: (n,) weights of the readings, from 1 down to 0 for outliers.
         moved: captures that moved by far more than the others; their weights are zero.
         beyond: (blocks,) expected variance of the terms outside the fit, for each output of a block; None for limits
-            that the user states.
-        of_labels: errors that the readings of a label share in addition to the fitted errors; None if they were not
-            searched for.
+            stated by the user.
+        of_labels: errors by label in addition to the fitted errors; None without a search for them.
         others: sources of the other model's errors by label, before and after this model's sources.
-        prior: of coefficients and motions.
-        columns: (n, 2, 6) change of the readings by the motions; None where none are modelled.
-        start: the free part, which the sums lack.
-        sums: over the readings, with their weights.
-        curvature: (hyperparameters,) information of the readings on each; None where no motions are modelled.
+        prior: prior of coefficients and motions.
+        columns: (n, 2, 6) change of the readings by the motions; None if no motions are modelled.
+        start: the free part, which is subtracted in the sums.
+        sums: sums over the readings, with their weights.
+        curvature: (hyperparameters,) information of the readings on each; None if no motions are modelled.
     """
 
     polynomial: Polynomial
@@ -77,39 +76,39 @@ class SmoothFit:
 
     @property
     def noise(self) -> float:
-        """Found standard deviation of a reading per axis, over the stated one; in arcminutes where none is stated."""
+        """Estimated sigma of a reading per axis, relative to the stated sigma; in arcminutes if none is stated."""
         return self.posterior.noise
 
     @property
     def shift_m(self) -> float:
-        """Repeatability of the captures' positions, rms per axis; 0 where no motion was modelled."""
+        """Repeatability of the captures' positions, rms per axis; 0 if no motion was modelled."""
         return float(self._motion_factors[0] * motion_scale(self.readings)[0])
 
     @property
     def turn_rad(self) -> float:
-        """Wobble of the captures' orientations, rms per axis; 0 where no motion was modelled."""
+        """Wobble of the captures' orientations, rms per axis; 0 if no motion was modelled."""
         return float(self._motion_factors[1] * motion_scale(self.readings)[1])
 
     @property
     def motion_agreement(self) -> MotionAgreement | None:
-        """Comparison of the fitted motions with the stated ones; None where the captures state none."""
+        """Comparison of fitted and stated motions; None without stated motions."""
         known = self.readings.motion_prior
         if known is None or self.curvature is None:
             return None
         shift_m, turn_rad = motion_scale(self.readings)
-        # The prior pulls the logarithms of the factors to its mean, the readings to where they alone would have them.
+        # The prior pulls the factors' logarithms to its mean, and the readings pull them to `alone`.
         mean, sigma = self.prior.expected[-2:].T
         curvature = np.maximum(self.curvature[-2:], 1e-9)
         off = np.log(self._motion_factors)
         alone = off + (off - mean) / sigma**2 / curvature
-        # Uninformative readings have almost no curvature: the search's remaining distance would look like a pull.
+        # With almost no curvature, from uninformative readings, the search's remaining distance would look like a pull.
         unfinished = _SETTLED / sigma**2 / curvature
         sigmas = np.abs(alone) / np.sqrt(known.log_sigma**2 + 1.0 / curvature + unfinished**2)
         return MotionAgreement(float(shift_m), float(turn_rad), *map(float, self._motion_factors), *map(float, sigmas))
 
     @property
     def stage(self) -> Stage:
-        """Prior of the stage's errors for other captures of the same bench; empty where no motions were modelled."""
+        """Prior of the stage's errors for other captures of the same bench; empty if no motions were modelled."""
         if self.curvature is None:
             return {}
         names = self.prior.names
@@ -120,7 +119,7 @@ class SmoothFit:
 
     @property
     def _motion_factors(self) -> FloatArray:
-        """(2,) of shift and turn: the sizes found over those known before."""
+        """Ratios (2,) of estimated to prior size, for shift and turn."""
         hyper = self.posterior.hyper
         return np.exp([hyper.get("shift", -np.inf), hyper.get("turn", -np.inf)])
 
@@ -128,11 +127,11 @@ class SmoothFit:
         """Refuse readings that contradict each other beyond any noise.
 
         Args:
-            what: the readings, in a sentence.
-            sigma_arcmin: (n,) their stated sigma.
+            what: name of the readings in the error message.
+            sigma_arcmin: (n,) stated sigma of the readings.
 
         Raises:
-            BadInputError: they do.
+            BadInputError: the readings contradict each other.
         """
         stated = float(np.median(sigma_arcmin)) or 1.0
         if (found := self.noise * stated) > _CONTRADICTION_ARCMIN:
@@ -144,7 +143,7 @@ class SmoothFit:
 
     @property
     def hyper(self) -> FloatArray:
-        """(hyperparameters,) as found, logarithms."""
+        """Estimated hyperparameters (hyperparameters,), logarithms."""
         return np.array(list(self.posterior.hyper.values()))
 
     @property
@@ -167,7 +166,7 @@ class SmoothFit:
         return self.posterior.mixed_mean[:count], np.asarray(root, np.float64)
 
     def with_trend(self, trend: Trend) -> "SmoothFit":
-        """Return the fit with another prior of the trend's parameters, at the same hyperparameters and weights."""
+        """Return the fit with another prior of the trend's parameters, and the same hyperparameters and weights."""
         readings = replace(self.readings, trend=trend)
         sums = sums_of(readings, self.start, self.columns, self.kept)
         found = posterior(sums, self.prior, self.hyper)
@@ -175,7 +174,7 @@ class SmoothFit:
         return replace(self, polynomial=polynomial, posterior=found, readings=readings, sums=sums)
 
     def orders_that_matter(self, widest: FitReadings) -> IntArray | None:
-        """Return the fewest terms of `widest` with which the others do not matter; None where no more are needed."""
+        """Return the fewest terms of `widest` beyond which no term matters; None if the fit needs no more terms."""
         most = _BEYOND * self.noise**2 * self.determined[0] / self.sums.count
         most = max(most, (_UNSEEN * noise_floor(self.readings)) ** 2)
         readings = self.readings
@@ -191,7 +190,7 @@ class SmoothFit:
         return widest.orders[chosen] if lacking[chosen].any() else None
 
     def beyond_of(self, widest: FitReadings) -> FloatArray:
-        """(blocks,) variance of an output that is expected of the terms of `widest` that the fit lacks."""
+        """Return the variance (blocks,) of an output expected from the terms of `widest` that the fit lacks."""
         lacking = ~_among(widest.orders, self.readings.orders)
         return np.asarray(prior_squares(widest, self.posterior.hyper)[:, lacking].sum(axis=1))
 
@@ -201,7 +200,7 @@ class SmoothFit:
         return self._with_common(self.readings, self.posterior, self.sums, self.kept)
 
     def _with_common(self, readings: FitReadings, found: Posterior, sums: Sums, kept: FloatArray) -> Covariance:
-        """Covariance of a fit with these prior sizes, errors that it does not find included, by sums over readings."""
+        """Return the covariance of a fit from sums over readings, including errors that the fit does not estimate."""
         response = label_response(readings, found)
         if self.of_labels is not None:
             response = self.of_labels.beside(response)
@@ -221,7 +220,7 @@ class SmoothFit:
         return left
 
     def side_columns(self, rows: IntArray) -> FloatArray:
-        """Return columns (r, 2, side) of the unknowns that both tangents share: mixed ones, then captures' motions."""
+        """Return columns (r, 2, side) of unknowns common to both tangents: mixed ones, then captures' motions."""
         readings, mixed = self.readings, self.posterior.mixed_mean.size
         columns = np.zeros((len(rows), 2, len(self.posterior.side_covariance)))
         columns[:, :, :mixed] = readings.shared_columns(rows)
@@ -231,14 +230,14 @@ class SmoothFit:
         return columns
 
     def left_out(self, rows: BoolArray) -> tuple[float, float]:
-        """Predict readings (n,) bool by a fit to the others at the same hyperparameters.
+        """Predict the readings of a mask (n,) by a fit to the others with the same hyperparameters.
 
         Returns:
-            rms length of the prediction's errors and the rms that the fit expects, both in arcminutes.
+            Rms length of the prediction's errors, and the rms that the fit expects, both in arcminutes.
         """
         readings, out = self.readings, rows & (self.kept > 0)
         chosen = readings.select(out)
-        # Readings of a capture share noise: the remaining ones are summed again.
+        # Readings of a capture share noise, so that its remaining readings need new sums.
         touched = np.isin(readings.capture, chosen.capture)
         sums = self.sums - (self._sums_of(touched) - self._sums_of(touched & ~out))
         rest = posterior(sums, self.prior, self.hyper, evidence=False)
@@ -250,12 +249,12 @@ class SmoothFit:
         return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(variance)))
 
     def own_arcmin(self, rows: IntArray) -> float:
-        """Return the rms error that the fit expects of its values of some readings, without common errors."""
+        """Return the rms error that the fit expects for its predictions of some readings, without common errors."""
         variance = self._own_variance(self.readings.select(rows), self.posterior)
         return float(np.sqrt(np.mean(variance)))
 
     def _own_variance(self, chosen: FitReadings, found: Posterior) -> FloatArray:
-        """Variance (n,) in square arcminutes of the values of readings; common errors, which all share, left out."""
+        """Return the variance (n,) of predicted readings, square arcminutes, without common errors."""
         covariance = spread_of(self.readings, found, beyond=self.beyond).covariance(chosen.inputs)
         if chosen.mixed:
             variance = np.einsum("nrb,nbc,nrc->n", chosen.multiplier, covariance, chosen.multiplier)
@@ -265,7 +264,7 @@ class SmoothFit:
         return np.asarray(variance * chosen.metric**2)
 
     def _reading_variance(self, rows: IntArray, found: Posterior) -> FloatArray:
-        """Variance (r,) in square arcminutes of readings without their noise: of model, errors by label and motions."""
+        """Return the variance (r,) of readings, square arcminutes, due to model, errors by label and motions only."""
         readings, side = self.readings, self.side_columns(rows)
         variance = np.zeros(len(rows))
         for axis in range(0 if readings.mixed else 2):
@@ -290,17 +289,17 @@ class SmoothFit:
         )
 
     def spread_with(self, readings: FitReadings) -> Covariance:
-        """Return the covariance with further readings at this noise: `readings` are this fit's readings, then more."""
+        """Return the covariance with further readings of the same noise, which follow this fit's in `readings`."""
         return self._spread(
             readings, np.concatenate([self.kept, np.ones(len(readings) - len(self.kept))]), self.posterior.hyper
         )
 
     def spread_from(self, readings: FitReadings, hyper: Mapping[str, float]) -> Covariance:
-        """Covariance of a fit to other readings of optics as smooth as these.
+        """Return the covariance of a fit to other readings, of equally smooth optics.
 
         Args:
-            readings: of the same headset, none beyond the box of this fit.
-            hyper: hyperparameters, logarithms, in place of those found: "noise", "shift" and "turn".
+            readings: readings of the same headset, within the box of this fit.
+            hyper: hyperparameters, logarithms, that replace the estimated "noise", "shift" and "turn".
         """
         known = {**self.posterior.hyper, **hyper}
         return self._spread(readings.within(self.readings.box), np.ones(len(readings)), known)
@@ -312,7 +311,7 @@ class SmoothFit:
             readings = readings.moving(columns)
         prior = smoothness_prior(readings, moving=columns is not None)
         sums = sums_of(readings, None, columns, kept)
-        usual = dict(zip(prior.names, prior.expected[:, 0], strict=True))  # for labels new in these readings
+        usual = dict(zip(prior.names, prior.expected[:, 0], strict=True))  # for labels that only these readings have
         found = posterior(sums, prior, np.array([hyper.get(name, usual[name]) for name in usual]), evidence=False)
         return self._with_common(readings, found, sums, kept)
 
@@ -331,12 +330,12 @@ class SmoothFit:
 
     @property
     def prior_size(self) -> FloatArray:
-        """(columns,) prior sizes of the coefficients of each output."""
+        """Prior sizes (columns,) of the coefficients of each output."""
         return self.prior.sizes(self.hyper)[: self.readings.coefficients]
 
     @property
     def coefficient_root(self) -> FloatArray:
-        """F (columns, columns), F F' = posterior covariance of the coefficients of an output, the mean of both."""
+        """Root F (columns, columns) of F F', the outputs' mean posterior covariance of coefficients."""
         found = self.posterior
         own = self.readings.coefficients
         follow = [each[:, :own].T @ found.side_covariance @ each[:, :own] for each in found.by_side]
@@ -344,13 +343,14 @@ class SmoothFit:
         return principal_root(covariance)
 
     def whitened(self, readings: FitReadings, place: IntArray, places: int) -> list[FloatArray]:
-        """Designs (n, columns) of an output in combinations of readings whose noise is 1 and independent.
+        """Return the whitened design (n, columns) of an output for each camera position.
 
-        What motions of the camera, with the sizes found, add to the noise is averaged over both outputs.
+        The noise includes camera motions of the estimated sizes, averaged over both outputs.
 
         Args:
-            readings: of the same headset, none beyond the box of this fit.
-            place: (n,) numbers of the camera places. places: how many; one that sees nothing has a design of no rows.
+            readings: readings of the same headset, within the box of this fit.
+            place: (n,) numbers of the camera positions. places: number of positions; one without readings has a design
+                without rows.
         """
         readings = readings.within(self.readings.box)
         design = design_of(readings, slice(None), basis(readings.inputs, readings.orders, readings.box))
@@ -360,7 +360,7 @@ class SmoothFit:
             size = motion_sizes(readings) * np.exp(self.prior.group_features @ self.hyper)
             columns = motion_columns(readings, self.polynomial) * weight[:, None]
             own, stage = columns * size[readings.capture, None], self.readings.stage
-            if stage is not None and stage.axes:  # the visits of a place share the errors of the stage's axes there
+            if stage is not None and stage.axes:  # visits of one place share the stage axes' errors
                 of_place = columns[:, :, stage.axes] * np.exp(self.posterior.hyper["axes"])
         found, shared = [], self.readings.shared
         for number in range(places):
@@ -378,6 +378,6 @@ class SmoothFit:
 
 
 def _among(orders: IntArray, others: IntArray) -> BoolArray:
-    """(n,) whether each row of orders (n, variables) is one of others (m, variables)."""
+    """Return the mask (n,) of rows of orders (n, variables) that are among others (m, variables)."""
     known = set(map(tuple, others.tolist()))
     return np.array([tuple(row) in known for row in orders.tolist()], dtype=bool)

@@ -21,23 +21,23 @@ from wlr_render.numerics.polynomial import Polynomial
 from wlr_render.usual import STAGE_REPEATABILITY_M, STAGE_TURN_RAD
 
 NOISE_FLOOR_ARCMIN = 1e-3
-"""Least noise of a reading that states more or nothing: exact data would send it to zero, where rounding decides."""
+"""Least noise of readings that state more or none; for exact data, smaller noise would depend on rounding."""
 LARGEST_SHIFT_M, LARGEST_TURN_RAD = 1e-3, 3e-3
-"""Bounds of a stage's repeatability; beyond, it is not a stage that is wrong."""
+"""Largest repeatability of a stage; larger motions have another cause."""
 SHIFT, TURN = slice(0, 3), slice(3, 6)
-LEAST_MOTION = 1e-9  # metres, radians
-_MOST_TIMES = 10.0  # the sizes known before may be wrong by
-_SHIFTS, _TURNS = (-0.6, 1.2, 2.8), (-1.0, 0.8, 2.5)  # starts of the motion search, sigmas of the log sizes
+LEAST_MOTION = 1e-9  # least size of motions, metres and radians
+_MOST_TIMES = 10.0  # largest factor by which stated sizes may be wrong
+_SHIFTS, _TURNS = (-0.6, 1.2, 2.8), (-1.0, 0.8, 2.5)  # starts of the search for motion sizes, in log sigmas
 _STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
 _USUAL_SLOPES = (2.5, 1.5)  # prior means of mu and lambda, for uninformative readings; sigma 1
-_FOOTPRINT, _USUAL_FOOTPRINT = "footprint", (1.0, 0.5)  # exponent of `_log_ways`: its name, mean and sigma
-_FALL = "fall"  # name of the hyperparameter by which wave sizes fall with frequency
-_LEAST_SHARE, _MOST_TIMES_USUAL = 7.0, 2.5  # logarithms of the bounds of an error by label over its usual size
-_MOTIONS = "shift", "turn"  # names of the sizes of motions
-_NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
+_FOOTPRINT, _USUAL_FOOTPRINT = "footprint", (1.0, 0.5)  # exponent of `_log_ways`: name, prior mean and sigma
+_FALL = "fall"  # name of the hyperparameter for the decrease of wave sizes with frequency
+_LEAST_SHARE, _MOST_TIMES_USUAL = 7.0, 2.5  # bounds of the size of errors by label, in log ratios to the usual size
+_MOTIONS = "shift", "turn"  # names of the hyperparameters for motion sizes
+_NO_SIZE = -25.0  # logarithm of a prior size that suppresses all terms
 Stage = Mapping[str, tuple[float, float]]
-"""What other captures tell of the errors of a stage, by the names of their hyperparameters: mean and sigma of the
-natural logarithm of the size. "shift" and "turn" are in units of `motion_scale`, "axes" and "travel" in metres."""
+"""Estimates of a stage's errors from other captures, by hyperparameter: mean and sigma of the natural logarithm of the
+size. "shift" and "turn" are in units of `motion_scale`, "axes" and "travel" in metres."""
 
 
 def smoothness_prior(readings: FitReadings, moving: bool, stage: Stage | None = None) -> Prior:
@@ -45,8 +45,8 @@ def smoothness_prior(readings: FitReadings, moving: bool, stage: Stage | None = 
 
     Args:
         readings: the readings to fit.
-        moving: whether the captures move.
-        stage: prior of the stage's errors from other captures; None for the stated or else the usual errors.
+        moving: True to include motions of the captures.
+        stage: prior of the stage's errors from other captures; None for stated errors, or usual ones.
     """
     blocks, orders, free = readings.blocks, readings.orders, readings.free
     smooth_as, ways = _smooth_as(readings), _log_ways(readings)
@@ -88,7 +88,7 @@ class _Hyperparameter(NamedTuple):
 def _hyperparameters(
     readings: FitReadings, axes: Sequence[int], has_footprint: bool, moving: bool, stage: Stage
 ) -> list[_Hyperparameter]:
-    """Return sizes of the polynomials, slopes by the axes, sizes of errors by label, noise, and sizes of motions."""
+    """Return sizes of polynomials, slopes by axis, sizes of errors by label, noise, and sizes of motions."""
     unknown = [_Hyperparameter(f"size {block}", _NO_SIZE, 8.0) for block in range(readings.blocks)]
     for axis in axes:
         name, usual = ("mu", _USUAL_SLOPES[0]) if readings.is_place[axis] else ("lambda", _USUAL_SLOPES[1])
@@ -98,7 +98,7 @@ def _hyperparameters(
     terms = readings.axis_terms + readings.shared_terms
     for term in terms:
         usual = float(np.log(term.usual.value))
-        bounds = usual - _LEAST_SHARE, usual + _MOST_TIMES_USUAL  # limits of ordinary errors
+        bounds = usual - _LEAST_SHARE, usual + _MOST_TIMES_USUAL  # range of ordinary errors
         unknown.append(_Hyperparameter(term.name, *bounds, usual, term.usual.log_sigma))
     if any(each.frequency is not None for each in terms):
         unknown.append(_Hyperparameter(_FALL, 0.0, 5.0, USUAL_FALL, FALLS_DIFFER))
@@ -119,7 +119,7 @@ def _hyperparameters(
 def _with_terms(
     features: FloatArray, terms: Sequence[LabelTerm], names: Sequence[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return features and offset of unknowns of the model (k, hyperparameters), then of errors by label."""
+    """Return features (k, hyperparameters) and offset of the model's unknowns, then of errors by label."""
     parts, offset = [features], [np.zeros(len(features))]
     for term in terms:
         own = np.zeros((len(term.offset), len(names)))
@@ -132,11 +132,11 @@ def _with_terms(
 
 
 def prior_squares(readings: FitReadings, hyper: Mapping[str, float]) -> FloatArray:
-    """Return the prior mean square (blocks, terms) of each term over the box, infinite for the free terms.
+    """Return the prior mean square (blocks, terms) of each term over the box, infinite for free terms.
 
     Args:
-        readings: the terms.
-        hyper: hyperparameters that a fit found, logarithms.
+        readings: readings with these terms.
+        hyper: hyperparameters estimated by a fit, logarithms.
     """
     prior = smoothness_prior(readings, moving=False)
     every = prior.mixed_features if readings.mixed else prior.features
@@ -148,10 +148,10 @@ def prior_squares(readings: FitReadings, hyper: Mapping[str, float]) -> FloatArr
 
 
 def _log_ways(readings: FitReadings) -> FloatArray:
-    """Logarithms (terms,) of how often a product of powers occurs in a power of the ray's footprint.
+    """Return the logarithm (terms,) of the coefficient of a product of powers in a power of the ray's footprint.
 
-    The footprint on a surface of the optics is a sum, of the place and a multiple of the pixel or direction; powers of
-    it have mixed terms with binomial coefficients.
+    The footprint on a surface of the optics is the sum of the place and a multiple of the pixel or direction; its
+    powers have mixed terms with binomial coefficients.
     """
     place = np.flatnonzero(readings.is_place)
     subject = np.flatnonzero(~readings.is_place)
@@ -163,7 +163,7 @@ def _log_ways(readings: FitReadings) -> FloatArray:
 
 
 def motion_sizes(readings: FitReadings) -> FloatArray:
-    """Prior sizes (captures, 6) of the camera's shift (metres) and turn (radians), up to a common factor of each."""
+    """Return prior sizes (captures, 6) of the camera's shift (m) and turn (rad), up to a common factor for each."""
     if readings.motion_prior is None:
         usual = np.repeat([STAGE_REPEATABILITY_M.value, STAGE_TURN_RAD.value], 3)
         return np.tile(usual, (int(readings.capture.max()) + 1, 1))
@@ -171,14 +171,14 @@ def motion_sizes(readings: FitReadings) -> FloatArray:
 
 
 def motion_scale(readings: FitReadings) -> FloatArray:
-    """Root mean square (2,) of `motion_sizes`: shift in metres, turn in radians, per axis."""
+    """Return the root mean square (2,) of `motion_sizes` per axis: shift in metres, turn in radians."""
     return np.asarray(np.sqrt(np.mean(motion_sizes(readings).reshape(-1, 2, 3) ** 2, axis=(0, 2))))
 
 
 def _smooth_as(readings: FitReadings) -> list[int]:
-    """Return for each variable the variable whose prior slope it uses: itself, or another where it has no extent.
+    """Return, for each variable, the variable with its prior slope: itself, or another one if it has no extent.
 
-    Readings at one place do not determine how fast the optics change around it; the fit would find them constant.
+    Readings at one place do not determine how fast the optics change around it; a fit would find constant optics.
     """
     flat = flat_places(readings.inputs, readings.is_place)
     known = np.flatnonzero(readings.is_place & ~flat)
@@ -187,7 +187,7 @@ def _smooth_as(readings: FitReadings) -> list[int]:
 
 
 def noise_floor(readings: FitReadings) -> float:
-    """Least noise of a fit, over the stated sigma, never above it; in arcminutes where none is stated."""
+    """Return the least noise of a fit, relative to the stated sigma and at most 1; in arcminutes if none is stated."""
     stated = readings.sigma[readings.sigma > 0]
     return min(NOISE_FLOOR_ARCMIN / float(np.median(stated)), 1.0) if stated.size else NOISE_FLOOR_ARCMIN
 
@@ -195,7 +195,7 @@ def noise_floor(readings: FitReadings) -> float:
 def search_starts(readings: FitReadings, prior: Prior, start: Polynomial, kept: FloatArray) -> list[dict[str, float]]:
     """Return the starting points of the hyperparameter search.
 
-    With a trend, the starting sizes follow from its residuals; one start has no terms, in case the trend is exact.
+    With a trend, the starting sizes come from its residuals; one start has no terms, in case the trend is exact.
     """
     starts: Sequence[tuple[float, float, float, float]] = _STARTS
     if readings.trend is not None:
@@ -224,7 +224,7 @@ def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise
 
 
 def motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str, float]:
-    """Return the best of a few sizes of the motion: the evidence may have several maxima."""
+    """Return the best of a few sizes of the motion, because the evidence may have several maxima."""
     mean, sigma = prior.expected[-2:].T
     starts = [still | dict(zip(_MOTIONS, mean + at * sigma, strict=True)) for at in product(_SHIFTS, _TURNS)]
     starts.append(still | dict(zip(_MOTIONS, prior.bounds[-2:, 0], strict=True)))

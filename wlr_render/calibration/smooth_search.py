@@ -1,7 +1,7 @@
-"""Searches for the smooth fit of highest evidence: its terms, outliers, noise, and captures that moved.
+"""Search for the smooth fit of highest evidence: terms, outliers, noise, and captures that moved.
 
-Each search starts from the fit before it: the same readings with more terms, or without some of the captures, have
-nearly the same hyperparameters, and with the same captures nearly the same weights and noise.
+Each search starts from the previous fit, because the same readings with more terms, or without some captures, have
+nearly the same hyperparameters and, with the same captures, nearly the same weights and noise.
 """
 
 from collections import Counter
@@ -33,17 +33,17 @@ from wlr_render.numerics.polynomial import Polynomial
 from wlr_render.numerics.posterior import Posterior
 from wlr_render.numerics.shared_noise import SharedNoise, find_shared_noise, neighbour_distance
 
-_GROSS, _LOST = 5.0, 10.0  # residual over noise where a reading's weight begins and ends to fall: 4e-6 of normal noise
+_GROSS, _LOST = 5.0, 10.0  # residuals over noise at which weights begin to fall and are zero; 4e-6 of normal noise
 _WIDENINGS = 3  # most fits with more terms, each of which takes as long as the first
-_MOTION_ROUNDS = 3  # slopes and motions in turns: the slopes of the first fit contain motions
-_ROUNDS = 4  # most rounds of outlier weights and shared noise; they end earlier where nothing changes
+_MOTION_ROUNDS = 3  # alternations of slopes and motions, because motions distort the slopes of the first fit
+_ROUNDS = 4  # most rounds of outlier weights and shared noise; they end earlier without changes
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
-_REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # least share of motions that tell sizes: a stated size needs fewer
-_NEAR_CLEAREST = 0.7  # least log odds over the largest for rejection in a round: the clearest may cause the others
-_ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out; larger than any bump
-_MOST, _MOST_THAT_MOVE = 0.25, 0.5  # share of the captures that may be left out; beyond a half all may be wrong
-_ROUNDS_OF_MOTIONS = 8  # fits without some of the captures; each leaves out the clearest, which are few
-_ORDERS_BEYOND, _ENOUGH_ORDERS = 2, 7  # orders added to a fit to judge captures, and highest order so reached
+_REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # least share of motions to estimate sizes; fewer if stated
+_NEAR_CLEAREST = 0.7  # least log odds over the largest for rejection in a round; the clearest may cause the others
+_ANY_MOTION = 0.03  # prior size of an outlier's motion, metres or radians; larger than any bump
+_MOST, _MOST_THAT_MOVE = 0.25, 0.5  # largest share of captures left out, and of captures that moved
+_ROUNDS_OF_MOTIONS = 8  # most fits without some captures; each leaves out the few clearest ones
+_ORDERS_BEYOND, _ENOUGH_ORDERS = 2, 7  # orders added to a fit for tests of captures, and highest order with them
 _FEW_ORDERS = 3  # total order of the fit that finds captures with large motions
 
 
@@ -53,16 +53,16 @@ def fit_within(
     weights: FloatArray | None = None,
     stage: Stage | None = None,
 ) -> SmoothFit:
-    """Fit with the terms that the readings show to matter.
+    """Fit with the terms that matter according to the readings.
 
-    A fit within the first limits that can be computed finds how fast coefficients fall with their order. While the
-    missing terms are expected to exceed `_BEYOND` of the fit's variance, the fit is repeated with the terms within the
-    last limits that matter. The variance of all other terms adds to the fit's variance.
+    A fit within the first limits that can be computed estimates how fast coefficients fall with their order. While the
+    missing terms are expected to exceed `_BEYOND` of the fit's variance, the fit is repeated with the terms that matter
+    within the last limits. The variance of all other terms adds to the fit's variance.
 
     Args:
         readings_of: (limits) -> readings.
-        limits: the narrowest first; a single one is used whatever the readings are.
-        weights, stage: as of `fit`.
+        limits: limits, narrowest first; a single one is always used.
+        weights, stage: as in `fit`.
 
     Raises:
         BadInputError: as `fit`.
@@ -95,7 +95,7 @@ def _first_fit(
 
 
 def _fit_from(before: SmoothFit, readings: FitReadings, weights: FloatArray | None, stage: Stage | None) -> SmoothFit:
-    """Fit from the fit before it, or from nothing where that leads to sums without an inverse."""
+    """Fit from the previous fit, or from nothing if this leads to sums without an inverse."""
     try:
         return fit(readings, before, weights, stage)
     except np.linalg.LinAlgError:
@@ -112,10 +112,10 @@ def fit(
 
     Args:
         readings: the measured readings.
-        before: fit to the same readings with other terms, to start from; None searches from several starts.
-        weights: (n,) of the readings, 1 to 0 for outliers; None to find them. Evidence of models is comparable only
-            with the same readings and weights.
-        stage: prior of the stage's errors from other captures of the bench; None to find them.
+        before: starting fit to the same readings with other terms; None for a search from several starts.
+        weights: (n,) weights of the readings, from 1 to 0 for outliers; None to find them. Evidence of models is
+            comparable only for the same readings and weights.
+        stage: prior of the stage's errors from other captures of the bench; None to estimate them.
 
     Raises:
         BadInputError: the readings determine nothing, or contradict each other.
@@ -141,15 +141,15 @@ def fit(
 
 
 def _without_moved(search: "_Search", smooth: SmoothFit) -> SmoothFit:
-    """Return the fit without all captures that moved, from one without some of them."""
+    """Return the fit without all captures that moved, from a fit without some of them."""
     captures, rejections = len(np.unique(search.readings.capture)), Counter[int]()
     most = int(_MOST * captures)
     for round_ in range(_ROUNDS_OF_MOTIONS):
         others, judged = _suspects(smooth)
         rejections.update(name for name, each in judged.items() if not each.stands_out)
         moved = tuple(each for each in judged.values() if each.stands_out)
-        # One capture that moved makes others seem to have moved: the clearest go first, and some come back. One that
-        # came back goes again only if it is clear, and stays when it came back twice.
+        # A capture that moved makes others seem to have moved: the clearest are rejected first, and some come back. One
+        # that came back is rejected again only if it is clear, and not after it came back twice.
         least = _NEAR_CLEAREST * max((each.log10_odds for each in others.values()), default=0.0)
         more = tuple(
             each
@@ -159,7 +159,7 @@ def _without_moved(search: "_Search", smooth: SmoothFit) -> SmoothFit:
         if not more and len(moved) == len(judged):
             return replace(smooth, moved=moved)
         if len(moved) + len(more) > most or round_ == _ROUNDS_OF_MOTIONS - 1:
-            # Where most captures seem to have moved, they contradict each other, and none of them is to blame.
+            # If most captures seem to have moved, they contradict each other, and no single capture is the cause.
             clear = len(moved) + sum(each.stands_out for each in others.values())
             moved = moved if clear <= _MOST_THAT_MOVE * captures else ()
             break
@@ -177,7 +177,7 @@ class _Search:
     stage: Stage | None
 
     def without(self, moved: tuple[CaptureMotion, ...], before: SmoothFit | None = None) -> SmoothFit:
-        """Fit to all captures except `moved`, starting from the results of the fit `before`, or anew if it is None."""
+        """Fit to all captures except `moved`, starting from the fit `before`, or from nothing if it is None."""
         still = self._without_motions(moved, before)
         if still.columns is None:
             return still
@@ -195,7 +195,7 @@ class _Search:
         if before is not None and before.moved == moved:
             kept = kept if self.weights is not None else kept * before.kept
             readings = readings.with_shared(before.readings.shared)
-        elif is_noisy:  # a fit that takes shared noise for optics leaves none to be found
+        elif is_noisy:  # otherwise the fit could absorb shared noise as optics
             spacing = neighbour_distance([readings.image[rows] for rows in rows_by_capture(readings.capture)])
             readings = readings.with_shared(SharedNoise(0.5, 1.4 * spacing) if spacing > 0 else None)
         sums = sums_of(readings, start, None, kept)
@@ -212,7 +212,7 @@ class _Search:
         return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start, sums)
 
     def _with_motions(self, still: SmoothFit, before: SmoothFit | None) -> SmoothFit:
-        """Add motions of the captures, of the sizes of a fit to the same captures; None for no such fit."""
+        """Add motions of the captures, starting from the sizes in a fit to the same captures, `before`, if not None."""
         start, kept, polynomial = still.start, still.kept, still.polynomial
         readings = still.readings.moving(motion_columns(still.readings, polynomial))
         prior = smoothness_prior(readings, moving=True, stage=self.stage)
@@ -223,7 +223,7 @@ class _Search:
         features, offset = prior.mixed_features[rows], np.broadcast_to(prior.mixed_offset, len(mixed))[rows]
         of_rough = replace(prior, group_offset=0.0, mixed_features=features, mixed_offset=offset)
         curvature = np.zeros(len(prior.names))
-        # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
+        # Motions act through the slopes of the fit and also distort them, so that both are estimated alternately.
         for round_ in range(_MOTION_ROUNDS):
             columns = motion_columns(readings, polynomial)
             readings = readings.moving(columns)
@@ -241,7 +241,7 @@ class _Search:
 def _shared_noise(
     readings: FitReadings, polynomial: Polynomial, found: Posterior, kept: FloatArray
 ) -> SharedNoise | None:
-    """Return the noise that neighbouring readings of a capture share, from the residuals of the inliers."""
+    """Return the noise that neighbouring readings of a capture share, estimated from residuals of inliers."""
     off = (readings.observed - readings.values(polynomial)) * readings.weight[:, None]
     captures = [rows[kept[rows] == 1.0] for rows in rows_by_capture(readings.capture)]
 
@@ -258,13 +258,13 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
     """Return combinations (6, captures, k) of the captures' motions that exclude smooth functions of the place.
 
     Smooth motions are degenerate with the optics' dependence on the place: optics of higher order than the fit would
-    pass for motions of the camera, of any size. The unknowns of the combinations are standard normal before the fit,
-    up to the factors.
+    look like camera motions of any size. The unknowns of the combinations have a standard normal prior, up to the
+    factors.
     """
     captures = int(readings.capture.max()) + 1
     used = np.flatnonzero(np.bincount(readings.capture, kept > 0, captures))
     middle = means_by(readings.capture, readings.inputs[:, readings.is_place])[used]
-    # Motions that are linear in the place must be among the smooth ones, unless the sizes of motions are stated.
+    # Smooth motions must include those linear in the place, unless the sizes of motions are stated.
     rest, fewest = (
         (_REST_IF_STATED, 1) if readings.motion_prior is not None else (_REST_IF_UNKNOWN, 1 + middle.shape[1])
     )
@@ -274,17 +274,17 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
     values = values[:, extent > 1e-6 * extent[0]]
     rough = np.zeros((6, captures, len(used) - values.shape[1]))
     for axis, own in enumerate(motion_sizes(readings)[used].T):
-        # In units of the prior sizes motions are independent, and so are their parts along and across smooth ones.
+        # In units of the prior sizes, motions are independent, and so are their parts along and across smooth motions.
         across = np.linalg.qr(values / own[:, None], mode="complete")[0][:, values.shape[1] :]
         rough[axis, used] = own[:, None] * across
     return rough
 
 
 def _rough_axes(readings: FitReadings) -> tuple[FloatArray, IntArray]:
-    """Return combinations of the unknowns that both outputs share, without smooth errors by reading of an axis.
+    """Return combinations of unknowns common to both outputs, without smooth errors by reading of an axis.
 
     Returns:
-        Combinations (mixed, k), and for each an unknown (k,) of the same prior size.
+        Combinations (mixed, k), and the number (k,) of an unknown with the same prior size for each.
     """
     first = readings.parameters + sum(len(each.offset) for each in readings.joint_terms)
     last = first + sum(len(each.offset) for each in readings.stage_terms)
@@ -294,7 +294,7 @@ def _rough_axes(readings: FitReadings) -> tuple[FloatArray, IntArray]:
 
 
 def _with_terms_beyond(readings: FitReadings) -> FitReadings:
-    """Return the readings of a low-order fit with higher orders: missing orders look like motions of the camera."""
+    """Return the readings of a low-order fit with higher orders, because missing orders look like camera motions."""
     limits, variables = readings.limits, readings.is_place
     if readings.trend is not None or not _FEW_ORDERS < limits.total < _ENOUGH_ORDERS:
         return readings
@@ -305,7 +305,7 @@ def _with_terms_beyond(readings: FitReadings) -> FitReadings:
 
 
 def _suspects(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, CaptureMotion]]:
-    """Return captures that may have moved, and those left out before, measured by the rest; by their indices."""
+    """Return captures that may have moved, and captures left out before, tested against the others, by index."""
     readings, out = smooth.readings, [each.capture for each in smooth.moved]
     kept = np.where(np.isin(readings.capture, out), 1.0, smooth.kept)
     offset = np.log(motion_sizes(readings))
@@ -332,7 +332,7 @@ def _suspects(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, Ca
 
 
 def _without_axes(readings: FitReadings, smooth: SmoothFit) -> FloatArray:
-    """Hyperparameters of a fit with ordinary errors by reading of the stage's axes; the rest are motions.
+    """Return hyperparameters with ordinary errors by reading of the stage's axes, and the excess added to motions.
 
     A capture that moved makes the errors at its own readings look large.
     """
@@ -346,9 +346,9 @@ def _without_axes(readings: FitReadings, smooth: SmoothFit) -> FloatArray:
 
 
 def _weights(readings: FitReadings, polynomial: Polynomial, columns: FloatArray | None, kept: FloatArray) -> FloatArray:
-    """1 for readings near the model, falling to 0 for those far off; Hampel's descending function.
+    """Return weights of 1 for readings near the model, falling to 0 far from it (Hampel's descending function).
 
-    Where cameras may have moved, a capture's fitted motion is first removed from its residuals.
+    If cameras may have moved, a capture's fitted motion is first removed from the residuals.
     """
     off = (readings.observed - readings.values(polynomial)) * readings.weight[:, None]
     if columns is not None:

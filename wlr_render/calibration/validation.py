@@ -1,18 +1,18 @@
-"""Refits that test the errors that a fit states, each against the fit's expected value.
+"""Refits that test the stated errors of a fit, each against the fit's expected value.
 
-Noise alone: the fit takes the place of the truth. Readings are drawn of it with all errors that the fit states, and are
-fitted. The truth is drawn from the posterior first: a fit to few readings follows its prior, and would otherwise err
-less than stated where the prior decides.
+Noise alone: the fit takes the place of the truth. Readings are drawn from it with all errors that the fit states, and
+are fitted. The truth is first drawn from the posterior, because a fit to few readings follows its prior and would
+otherwise have smaller errors than stated where the prior dominates.
 
-Quarters and bands: some camera positions are left out. Of a fit m to all readings with covariance P and a fit m_A
-to some of them with P_A, the law is cov(m_A - m) = P_A - P, because m is the posterior mean of what m_A estimates. It
-holds for any part, prior included, if all errors are as the fit states them; positions that share errors which the
-model lacks make the difference larger. Quarters at random are a bootstrap without replacement (Politis and Romano,
-Annals of Statistics 22, 1994, 2031-2050): copies of a position, which the usual bootstrap draws, would count as new
-ones. Bands, neighbours in place, are the cross-validation. A half left out would leave too few positions to tell how
-smooth the optics are.
+Quarters and bands: some camera positions are left out. For a fit m to all readings with covariance P and a fit m_A
+to some of them with P_A, the law is cov(m_A - m) = P_A - P, because m is the posterior mean of the quantity that m_A
+estimates. It holds for any part, including the prior, if all errors are as stated; errors that positions share and the
+model lacks increase the difference. Random quarters are a bootstrap without replacement (Politis and Romano, Annals of
+Statistics 22, 1994, 2031-2050): copies of a position, as in the usual bootstrap, would count as new positions. Bands of
+neighbouring positions are the cross-validation. Half of the positions would be too few to show how smooth the optics
+are.
 
-mrcal tests its projection uncertainty by refits to sampled noise and by fits to separate pictures as well
+mrcal also tests its projection uncertainty by refits to sampled noise and by fits to separate pictures
 (https://mrcal.secretsauce.net/tour-cross-validation.html).
 """
 
@@ -40,17 +40,17 @@ NOISE, QUARTERS, BANDS = "noise alone", "bootstrap over positions", "cross-valid
 METHODS = (NOISE, QUARTERS, BANDS)
 """Kinds of refits."""
 LEVEL = 0.95
-"""Of the intervals."""
+"""Confidence level of the intervals."""
 LEAST_POSITIONS = 8
-"""Three quarters of fewer are too few for a model."""
-_REFITS = 12  # refits to noise alone, and without a quarter; they tell a mean ratio to a tenth or two
-_PARTS = 4  # into which positions are divided at random
-_TESTED = 500  # pairs of viewpoint and pixel or point
-_ROWS = 4_000  # readings whose changes are held at once
+"""Fewest positions; three quarters of fewer positions are too few for a model."""
+_REFITS = 12  # number of refits to noise alone, and of refits without a quarter; they give a mean ratio to 0.1 or 0.2
+_PARTS = 4  # number of parts into which positions are randomly divided
+_TESTED = 500  # number of tested pairs of viewpoint and pixel or point
+_ROWS = 4_000  # number of readings whose changes are in memory at a time
 
 _AnyFit = ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
 _Directions = Callable[[FloatArray, FloatArray], FloatArray]
-"""(pixels or points (n, k), viewpoints (n, 3)) -> unit directions (n, 3), NaN where there are none."""
+"""(pixels or points (n, k), viewpoints (n, 3)) -> unit directions (n, 3), NaN where there is no direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +58,8 @@ class _Tested:
     """Queries of one side over the eye box, with the answers of the fit to all readings and their stated errors.
 
     Attributes:
-        subject, viewpoint, view_dir: as of `Expected`.
-        own, common: squares (n,) of errors of which the fit has a posterior, and change (n, 3, k) by common errors.
+        subject, viewpoint, view_dir: as in `Expected`.
+        own, common: squares (n,) of errors that the fit estimates, and change (n, 3, k) by common errors.
     """
 
     subject: FloatArray
@@ -71,12 +71,12 @@ class _Tested:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Directions with which a refit of one side is compared.
+    """Expected directions for comparison with a refit of one side.
 
     Attributes:
-        subject, viewpoint: (n, 2 or 3), (n, 3) pixels or points over the eye box.
-        view_dir: (n, 3) unit directions of the fit, or of the truth that the readings were drawn of.
-        square: mean square of the difference that the fit states, square arcminutes.
+        subject, viewpoint: pixels or points (n, 2 or 3), and viewpoints (n, 3) over the eye box.
+        view_dir: (n, 3) unit directions of the fit, or of the truth from which the readings were drawn.
+        square: stated mean square of the difference, square arcminutes.
     """
 
     subject: FloatArray
@@ -85,7 +85,7 @@ class Expected:
     square: float
 
     def found(self, fit: _AnyFit) -> float:
-        """Return the mean square of a refit's difference, square arcminutes; infinite where it answers nothing."""
+        """Return the mean square of a refit's difference, square arcminutes; infinite for a refit without answers."""
         apart = (fit.mapping.view_dir(self.subject, self.viewpoint).value - self.view_dir) / ARCMIN
         square = np.sum(apart**2, axis=1)
         known = np.isfinite(square)
@@ -94,12 +94,12 @@ class Expected:
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A fit to be made again.
+    """A fit to be repeated with other captures.
 
     Attributes:
-        method: one of `METHODS`. number: among the refits of this method.
-        captures: the readings to fit.
-        expected: by "display" and "see-through".
+        method: one of `METHODS`. number: number of the refit among those of this method.
+        captures: captures to fit.
+        expected: expected directions by "display" and "see-through".
     """
 
     method: str
@@ -108,7 +108,7 @@ class Refit:
     expected: Mapping[str, Expected]
 
     def outcome(self, fit: Calibration) -> "Outcome":
-        """Return the outcome of the fit that was made of these captures."""
+        """Return the outcome from the fit to these captures."""
         squares = {name: (each.found(fit.sides[name]), each.square) for name, each in self.expected.items()}
         return Outcome(self.method, self.number, squares)
 
@@ -119,7 +119,7 @@ class Outcome:
 
     Attributes:
         method, number: see `Refit`.
-        squares: mean squares of the difference found and stated, square arcminutes, by side.
+        squares: observed and stated mean squares of the difference, square arcminutes, by side.
     """
 
     method: str
@@ -129,14 +129,14 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Ratio:
-    """Errors found over errors stated.
+    """Ratio of observed to stated errors.
 
     Attributes:
         side: "display" or "see-through". method: one of `METHODS`.
         refits: number of refits.
-        value: root of the summed squares of the differences found over those stated.
-        low, high: ends of its interval of `LEVEL`, from the number of refits and of positions.
-        stated_arcmin: rms error that the fit states over the eye box.
+        value: root of the ratio of summed squares, observed to stated.
+        low, high: ends of the confidence interval of `LEVEL`, from the numbers of refits and positions.
+        stated_arcmin: stated rms error over the eye box.
     """
 
     side: str
@@ -149,15 +149,15 @@ class Ratio:
 
     @property
     def found_arcmin(self) -> float:
-        """Error over the eye box if all errors of the fit are larger by this ratio."""
+        """Rms error over the eye box if all errors of the fit are larger by this ratio."""
         return self.value * self.stated_arcmin
 
 
 def require_testable(captures: Captures) -> None:
-    """Refuse captures whose fit no refit can test, before they are fitted.
+    """Refuse, before a fit, captures for which refits cannot test the fit.
 
     Raises:
-        BadInputError: fewer than `LEAST_POSITIONS` positions, or readings without noise.
+        BadInputError: there are fewer than `LEAST_POSITIONS` positions, or readings have no noise.
     """
     for name, part in (("display", captures.display), ("see-through", captures.see_through)):
         if part is not None:
@@ -175,14 +175,14 @@ def _require_testable(name: str, capture: IntArray, sigma_arcmin: FloatArray) ->
 
 
 def refits(fit: Calibration, seed: int = 1) -> list[Refit]:
-    """Return the refits that test the errors of a fit; readings that it does not use are in none.
+    """Return the refits that test the errors of a fit, without readings that the fit does not use.
 
     Args:
         fit: the fit to test.
-        seed: of the errors that are drawn, and of the quarters.
+        seed: seed of the drawn errors and of the quarters.
 
     Raises:
-        BadInputError: fewer than `LEAST_POSITIONS` positions, or readings without noise.
+        BadInputError: there are fewer than `LEAST_POSITIONS` positions, or readings have no noise.
     """
     for name, side in fit.sides.items():
         _require_testable(name, side.captures.capture[_sound(side)], side.captures.sigma_arcmin)
@@ -196,7 +196,7 @@ def refits(fit: Calibration, seed: int = 1) -> list[Refit]:
 
 
 def ratios(fit: Calibration, outcomes: Sequence[Outcome]) -> list[Ratio]:
-    """Return the errors found over those stated, of each side by each method; none of fewer than two refits."""
+    """Return the ratios of observed to stated errors, for each side and each method with two or more refits."""
     found = []
     for name, side in fit.sides.items():
         stated, positions = _predicted(side), len(np.unique(side.captures.capture))
@@ -210,15 +210,15 @@ def ratios(fit: Calibration, outcomes: Sequence[Outcome]) -> list[Ratio]:
 
 
 def _counts(found: float, stated: float) -> bool:
-    """Return whether a refit has answers, and whether the fit expects a difference at all."""
+    """Return whether a refit has answers and a nonzero expected difference."""
     return bool(np.isfinite(found)) and stated > 0
 
 
 def _interval(squares: FloatArray, positions: float) -> tuple[float, float, float]:
-    """Return low end, value and high end of a ratio, of squares (n, 2) found and stated.
+    """Return the low end, value and high end of a ratio, from observed and stated squares (n, 2).
 
-    Refits to parts of one session see the same errors of its positions: these are a sample, too, whose size limits
-    what any number of refits can tell.
+    Refits to parts of one session have the same position errors. These are also a sample, and its size limits the
+    precision from any number of refits.
     """
     value = np.sqrt(squares[:, 0].sum() / squares[:, 1].sum())
     of_refits = np.var(0.5 * np.log(np.maximum(squares[:, 0], 1e-12) / squares[:, 1]), ddof=1) / len(squares)
@@ -231,7 +231,7 @@ def _predicted(side: Any) -> float:
 
 
 def _sound(side: _AnyFit) -> BoolArray:
-    """(n,) readings that the fit uses: no outliers, and none of positions that moved."""
+    """Return the mask (n,) of readings that the fit uses: no outliers, and none from positions that moved."""
     return np.asarray(side.smooth.kept > 0)
 
 
@@ -248,7 +248,7 @@ def _tested(side: Any, rng: np.random.Generator) -> _Tested:
 def _stated(
     side: Any, captures: Any, queries: tuple[FloatArray, FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the errors, as `_Tested` has them, that the fit states of one to other captures of the same session."""
+    """Return `own` and `common` of `_Tested`, as the fit states them for a fit to other captures of the session."""
     return _split(side.with_design(captures, {}).direction_errors(*queries), side.captures.common)
 
 
@@ -258,7 +258,7 @@ def _captures(fit: Calibration, parts: Mapping[str, Any]) -> Captures:
 
 
 def _without_quarters(fit: Calibration, rng: np.random.Generator) -> list[dict[str, BoolArray]]:
-    """Return the readings of each side without each part of its positions, which are divided at random."""
+    """Return the readings of each side without each part of its randomly divided positions."""
     found: list[dict[str, BoolArray]] = [{} for _ in range(_PARTS)]
     for name, side in fit.sides.items():
         sound, capture = _sound(side), side.captures.capture
@@ -283,7 +283,7 @@ def _without_bands(fit: Calibration) -> list[dict[str, BoolArray]]:
 def _of_some(
     method: str, number: int, fit: Calibration, tested: Mapping[str, _Tested], kept: Mapping[str, BoolArray]
 ) -> Refit:
-    """Return the refit to some readings (n,) of each side, with the difference that the law states."""
+    """Return the refit to a mask (n,) of each side's readings, with the expected difference by the law."""
     parts, expected = {}, {}
     for name, any_side in fit.sides.items():
         side: Any = any_side
@@ -291,27 +291,27 @@ def _of_some(
         whole = tested[name]
         queries = whole.subject, whole.viewpoint, whole.view_dir
         own, common = _stated(side, parts[name], queries)
-        # No fit sees the errors of the bench: both fits follow them, and equal parts cancel.
+        # No fit can estimate errors of the bench; both fits respond to them, and equal parts cancel.
         square = own - whole.own + np.sum((common - whole.common) ** 2, axis=(1, 2))
         expected[name] = Expected(*queries, float(square.mean()) / ARCMIN**2)
     return Refit(method, number, _captures(fit, parts), expected)
 
 
 def _split(errors: DirectionErrors, common: CommonErrors | None) -> tuple[FloatArray, FloatArray]:
-    """Return the squares (n,) of errors that a fit has a posterior of, and the change (n, 3, k) by common errors."""
+    """Return the squares (n,) of errors that a fit estimates, and the change (n, 3, k) by common errors."""
     is_common = np.isin(errors.sources, () if common is None else common.sources)
     own = np.trace(errors.unshared, axis1=1, axis2=2) + np.sum(errors.shared[..., ~is_common] ** 2, axis=(1, 2))
     return own, errors.shared[..., is_common]
 
 
 def _noise_alone(number: int, fit: Calibration, tested: Mapping[str, _Tested], rng: np.random.Generator) -> Refit:
-    """Draw a truth of the posterior, and readings of it with every error that the fit states."""
+    """Draw a truth from the posterior, and readings from the truth with every error that the fit states."""
     parts, expected = {}, {}
     of_bench = [side.captures.common for side in fit.sides.values() if side.captures.common is not None]
     shared = rng.standard_normal(len(of_bench[0].sources) if of_bench else 0)
     for name, any_side in fit.sides.items():
         side: Any = any_side
-        # Errors by label that the fit found in its residuals are in its covariance, and in no reading drawn here.
+        # Errors by label from the fit's residuals are in its covariance, but not in the readings drawn here.
         model = side.mapping.with_spread(replace(side.smooth, of_labels=None).spread)
         truth, subject, viewpoint = (
             _truth(model, int(rng.integers(2**63))),
@@ -328,7 +328,7 @@ def _noise_alone(number: int, fit: Calibration, tested: Mapping[str, _Tested], r
 
 
 def _truth(model: Any, seed: int) -> _Directions:
-    """Return a model changed by a draw from its own covariance, without errors that it shares with the other model."""
+    """Return the directions of a model changed by a draw from its covariance, without errors shared with the other."""
 
     def directions(subject: FloatArray, viewpoint: FloatArray) -> FloatArray:
         found = np.array(model.view_dir(subject, viewpoint).value)
@@ -343,7 +343,7 @@ def _truth(model: Any, seed: int) -> _Directions:
 
 
 def _readings_of(truth: _Directions, side: Any, shared: FloatArray, rng: np.random.Generator) -> Any:
-    """Draw readings of a truth: with motions of the camera, errors of the bench and by label, and noise."""
+    """Draw readings from a truth, with motions of the camera, errors of the bench and by label, and noise."""
     sound, smooth = _sound(side), side.smooth
     captures, readings = select(side.captures, sound), smooth.readings.select(sound)
     subject, viewpoint = side.subject(captures), captures.viewpoint
@@ -352,7 +352,7 @@ def _readings_of(truth: _Directions, side: Any, shared: FloatArray, rng: np.rand
         size = motion_sizes(smooth.readings) * np.exp(smooth.prior.group_features @ smooth.hyper)
         motion = (size * rng.standard_normal(size.shape))[readings.capture]
         viewpoint = viewpoint + motion[:, :3]
-    if captures.common is not None:  # changes of the stated values: the true ones are without them
+    if captures.common is not None:  # changes of the stated values, which true values lack
         changes = captures.common.changes(captures, slice(None))
         viewpoint, turned = viewpoint - changes.viewpoint @ shared, turned + changes.tangents @ shared
         subject = subject if changes.point is None else subject - changes.point @ shared
@@ -368,14 +368,14 @@ def _readings_of(truth: _Directions, side: Any, shared: FloatArray, rng: np.rand
 
 
 def _of_labels(readings: FitReadings, found: Posterior, rng: np.random.Generator) -> FloatArray:
-    """Draw errors by label (n, 2) of the sizes that the fit found."""
+    """Draw errors by label (n, 2) with the sizes estimated by the fit."""
     own, mixed = found.sizes[len(found.side_used) :], found.mixed_mean.size
     drawn = own * rng.standard_normal(found.mean.shape), found.sizes[:mixed] * rng.standard_normal(mixed)
     return label_values(readings, replace(found, mean=drawn[0], mixed_mean=drawn[1]))
 
 
 def _noise(readings: FitReadings, rng: np.random.Generator) -> FloatArray:
-    """Draw noise (n, 2) of unit sigma, which neighbours in a photograph share as the fit found."""
+    """Draw noise (n, 2) of unit sigma, with the fit's correlation between neighbours in a photograph."""
     noise = rng.standard_normal((len(readings), 2))
     if readings.shared is None:
         return noise

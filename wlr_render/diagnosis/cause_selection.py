@@ -151,11 +151,11 @@ class Search:
         return _fitted(self.subsample, found.explanation, found.scatter, 0, at)
 
     def refitted(self, explanation: Explanation, scatter: Scatter) -> Fit:
-        """Fit to all readings; find again which captures moved."""
+        """Fit to all readings, and search again for moved captures."""
         return self._with_moved(_fitted(self.full, explanation, scatter))
 
     def _with_moved(self, found: Fit) -> Fit:
-        """Find again which captures moved, and refit to all readings if they changed."""
+        """Search again for moved captures, and refit to all readings if they differ."""
         again, _ = with_moved_captures(self.full.sums_at(found.at), found.scatter)
         if np.array_equal(again.moved, found.scatter.moved):
             return found
@@ -223,7 +223,7 @@ class Search:
         return (_best_of_each(fits), _best_of_each(rough)) if fits else ([], [])
 
     def improvement(self, before: Fit, after: Fit) -> HeldOutImprovement:
-        """Return the improvement of held-out captures from one fit to another, in units of the latter's errors."""
+        """Return the improvement of held-out captures from one fit to another, whitened with the latter's errors."""
         observations, whiten = self.full.observations, self.full.whitening(after.scatter)
         old, new = (whiten(held_out_residual(each, observations)) for each in (before, after))
         return held_out_improvement(old, new, observations.group)

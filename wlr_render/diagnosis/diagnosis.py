@@ -284,14 +284,14 @@ class MovedCapture:
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisRecord:
-    """Verdict, causes with values and evidence, what stays unexplained, and the corrected bench.
+    """Verdict, causes with values and evidence, unexplained residual, and the corrected bench.
 
     Attributes:
         session, device, eye: names.
-        verdict: NO_EFFECT, EXPLAINED (by named causes only), LOCATED (an effect that no cause has is located at a
+        verdict: NO_EFFECT, EXPLAINED (by named causes only), LOCATED (an effect that no cause explains is located at a
             station, with or without named causes, and only noise is left), PARTLY or UNEXPLAINED.
         causes: named causes, largest effect first.
-        effects: effects that no cause has, best odds first.
+        effects: effects that no cause explains, best odds first.
         excluded: captures that moved.
         too_many_moved: captures of parts with too many moved captures to identify them; they are not excluded.
         noise_floors: noise of each part.

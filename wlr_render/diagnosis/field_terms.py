@@ -13,7 +13,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.numerics.waves import LocalWaves, Wave
 
-ELSEWHERE = ("stage", "time")  # stations at which a constant acts like one of the camera or of the panel
+ELSEWHERE = ("stage", "time")  # stations where a constant acts like a constant of the camera or the panel
 _NEIGHBOURS = 4  # number of neighbours at the station with which each reading is compared
 _WILD = 4.0  # sigma at which residuals are clipped
 _IDLE = 1e-9  # rms of a column, in sigma, below which it has no effect

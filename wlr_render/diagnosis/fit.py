@@ -108,8 +108,8 @@ def fit(
         iterations: largest number of Gauss-Newton steps.
         vary_scatter: False if the sizes of noise and motions are known.
         at: the linearisation at the start, if known.
-        roughly: whether to keep derivatives while steps gain as predicted, and to update only the last cause's:
-            accurate enough to compare fits.
+        roughly: whether to reuse derivatives while steps gain as predicted, and otherwise to update only the last
+            cause's: accurate enough to compare fits.
     """
     at = at or readings.predictor.linearised(start)
     if not np.isfinite(at.residual).all():

@@ -63,7 +63,7 @@ def held_out_improvement(before: FloatArray, after: FloatArray, group: IntArray)
     difference = old - new
     error = float(np.std(difference, ddof=1) * np.sqrt(len(old))) if len(old) > 1 else 0.0
     ratio = float(np.sqrt(new.sum() / old.sum()))
-    # Ratios without one capture at a time give the standard error.
+    # Jackknife: the ratios without each capture in turn give the standard error.
     ratios = np.sqrt((new.sum() - new) / (old.sum() - old).clip(1e-300))
     spread = float(np.sqrt((len(old) - 1) / len(old) * np.sum((ratios - ratios.mean()) ** 2)))
     return HeldOutImprovement(100 * (1 - ratio), 100 * spread, float(difference.sum()) / error if error > 0 else 0.0)

@@ -39,7 +39,7 @@ class Refitted:
 
     Attributes:
         before, after: rms error in arcminutes on held-out captures, placed by the corrected bench.
-        improvement: of `after` over `before`.
+        improvement: improvement of `after` over `before`.
     """
 
     before: float
@@ -86,7 +86,7 @@ def _same(before: AnyCaptures, after: AnyCaptures) -> bool:
 DISTANCES_M = (0.5, 1.0, 2.0)
 """Distances from the eye of the real points onto which the picture is rendered."""
 
-_VIEWPOINTS, _PIXELS = 20, (8, 8)  # number of viewpoints, and grid of panel pixels, sampled of the rendered picture
+_VIEWPOINTS, _PIXELS = 20, (8, 8)  # samples of the rendered picture: viewpoints, and a grid of panel pixels
 _GREEN = 1
 
 

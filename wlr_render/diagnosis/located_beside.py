@@ -45,7 +45,7 @@ class Located:
         return self.contest.scatter_beside(self.effects)
 
     def bench(self, corrected: Bench) -> Bench:
-        """Return a bench with the effects that a bench file can state added."""
+        """Add the effects that a bench file can state to a bench."""
         pairs = zip(self.effects, self.contest.values_and_covariances(self.effects, self.scatter), strict=True)
         added = [each for effect, estimate in pairs for each in effect.in_bench(*estimate)]
         return replace(corrected, effects=(*corrected.effects, *added)) if added else corrected
@@ -62,7 +62,7 @@ class Located:
         return (f"what the located effects describe imperfectly is in the corrected bench: {'; '.join(rests)}",)
 
     def fine_beside(self, fine: FineEffect | None) -> FineEffect | None:
-        """Return a fine effect, unless a smooth one has better odds: its remainder also agrees between captures."""
+        """Return the fine effect, or None if a smooth one has better odds: its remainder may look like one."""
         smooth = max((effect.log10_odds for effect in self.effects), default=0.0)
         return None if fine is None or fine.log10_odds < smooth else fine
 
@@ -101,7 +101,7 @@ def locate(search: Search, found: Fit) -> Located:
 
 
 def _standing(search: Search, found: Fit, most: int) -> Located:
-    """Locate at most `most` effects in addition to the causes; drop causes that fields explain too, one at a time."""
+    """Locate at most `most` effects in addition to the causes; drop causes that a field can replace, one at a time."""
     least, dropped = search.settings.least_log10_odds, list[str]()
     while True:
         contest = search.contest(search.on_subsample(found))

@@ -23,7 +23,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.optics.device import EyeOptics
 
 _STEP = 2e-3  # finite-difference step, in prior sigmas of a parameter
-_NOTHING = 1e-4  # derivative, in sigma per prior sigma, that counts as zero: different starts of a solve give 1e-5
+_NOTHING = 1e-4  # derivative, in sigma per prior sigma, that counts as zero; the start of a solve changes it by 1e-5
 _READ_BY: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("stage", "mount"), (DISPLAY, SEE_THROUGH)),
     **dict.fromkeys(("readout", "wavelengths_um"), (DISPLAY,)),

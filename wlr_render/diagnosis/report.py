@@ -49,7 +49,7 @@ class Diagnosis(DiagnosisRecord):
 
     @property
     def advice(self) -> list[str]:
-        """Next steps, most urgent first; each a sentence."""
+        """Next steps as sentences, most urgent first."""
         return verdict_sentences.advice(self)
 
     @property
@@ -199,7 +199,7 @@ def improvement_found(diagnosis: DiagnosisRecord) -> ImprovementInUse | None:
 
 
 def write_corrected(folder: Path, diagnosis: DiagnosisRecord) -> list[Path]:
-    """Write the corrected bench and the readings that were used as a session, in place of an earlier diagnosis's."""
+    """Write the corrected bench and the used readings as a session, replacing the session of an earlier diagnosis."""
     if folder.is_dir():
         remove_session(folder)
     if not diagnosis.is_corrected:

@@ -24,7 +24,7 @@ _DIFFER, _TWICE = 3.0, 2.0  # standard errors and ratio beyond which two parts' 
 
 
 def warnings(diagnosis: DiagnosisRecord) -> list[str]:
-    """Return the limits of the result; each a sentence."""
+    """Return the limits of the result as sentences."""
     found, settings = _noise_to_state(diagnosis), diagnosis.settings
     found += [_confusable(cause, settings) for cause in diagnosis.causes if cause.degenerate]
     for cause in diagnosis.causes:
@@ -49,7 +49,7 @@ def warnings(diagnosis: DiagnosisRecord) -> list[str]:
 
 
 def _about_repeatability(diagnosis: DiagnosisRecord) -> list[str]:
-    """Return warnings of a repeatability worse than an ordinary stage's, and of parts with different ones."""
+    """Return warnings of a repeatability worse than an ordinary stage's, and of parts whose repeatabilities differ."""
     sentences, unknown = [], undetermined_parts(diagnosis)
     motions = [motion for motion in diagnosis.motions if motion.part not in unknown]
     for unit, ordinary, sizes in (
@@ -100,7 +100,7 @@ def _noise_to_state(diagnosis: DiagnosisRecord) -> list[str]:
 
 
 def _too_few(diagnosis: DiagnosisRecord) -> list[str]:
-    """Return the limits of parts with few captures, and the captures that would lift them."""
+    """Return the limits of parts with few captures, and the captures that they need."""
     observations, found = diagnosis.readings.observations, []
     counts = Counter(name.part for name in observations.captures)
     for part, count in sorted(counts.items()):

@@ -193,7 +193,7 @@ class _Screening:
         place = len(self.current.explanation.vector()) + free
         mean = -explanation.off_prior[np.concatenate([self.current.at.free, place])]
         sums = sums.of_columns(np.arange(len(mean)), mean)
-        # Captures that seem to have moved can imitate a cause that acts on a few captures, and hide its moment.
+        # Captures that seem to have moved can imitate a cause that acts on a few captures, and hide its start time.
         is_timed = any(parameter.role is Role.TIME for parameter in hypothesis.cause.parameters)
         at_rest, scatter = self.current.scatter.at_rest(), self.current.scatter
         scatters = [at_rest] if is_timed or not scatter.moved.any() else [scatter, at_rest]

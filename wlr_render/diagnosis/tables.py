@@ -145,7 +145,7 @@ def parameters_table(diagnosis: DiagnosisRecord) -> ReportTable:
 
 
 def ranking_table(diagnosis: DiagnosisRecord) -> ReportTable:
-    """Return the candidates for the place of each cause, the others being as found."""
+    """Return the candidates for the place of each cause, with the other causes as found."""
     note = (
         "Odds of the best candidate against this one, from their marginal likelihoods, each with the noise and the "
         "repeatability that suit it best; a dash: to first order too far behind to be fitted."
@@ -240,7 +240,7 @@ def effects_table(diagnosis: DiagnosisRecord) -> ReportTable:
 
 
 def fields_table(diagnosis: DiagnosisRecord) -> ReportTable:
-    """Return all fields that were judged, where something was found."""
+    """Return all fields that were judged, if something was found."""
     return table(
         "Fields",
         diagnosis.fields if diagnosis.effects or diagnosis.unexplained_parts else (),
@@ -259,7 +259,7 @@ def fields_table(diagnosis: DiagnosisRecord) -> ReportTable:
 
 
 def limits_table(diagnosis: DiagnosisRecord) -> ReportTable:
-    """Return the detection limits, where nothing was found."""
+    """Return the detection limits, if nothing was found."""
     return table(
         "Detection limits",
         diagnosis.detection_limits,
@@ -269,7 +269,7 @@ def limits_table(diagnosis: DiagnosisRecord) -> ReportTable:
 
 
 def repeatability_table(diagnosis: DiagnosisRecord) -> ReportTable:
-    """Return how well the captures of each part repeat."""
+    """Return the repeatability of the captures of each part."""
     unknown = undetermined_parts(diagnosis)
     notes = ["Standard deviation, per axis, of the random motion of the camera against the headset in each capture."]
     if unknown:

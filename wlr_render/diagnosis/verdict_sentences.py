@@ -235,7 +235,7 @@ def _is_ambiguous(effect: StationEffect) -> bool:
 
 
 def advice(diagnosis: DiagnosisRecord) -> list[str]:
-    """Return the next steps, most urgent first; each a sentence."""
+    """Return the next steps as sentences, most urgent first."""
     if diagnosis.verdict == NO_EFFECT:
         return ["Keep using the bench file; effects below the detection limits would not have been seen."]
     settings = diagnosis.settings

@@ -22,7 +22,7 @@ PixelArray = NDArray[np.floating[Any]]
 TOLERANCE_PX = 0.75
 """Panel pixels from a plane's homography within which a camera pixel belongs to the plane."""
 
-_FEWEST_SHARE = 0.02  # smallest share of the accepted pixels that makes a plane
+_FEWEST_SHARE = 0.02  # smallest share of the accepted pixels for a plane
 _MOST_PLANES = 8  # largest number of planes
 _SAMPLE = 20_000  # most rows in the fit of a homography
 _ROUNDS = 5  # repetitions of the fit and the choice of inliers

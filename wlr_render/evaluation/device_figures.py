@@ -58,7 +58,7 @@ class DeviceFigures:
         panel_share: share of the sampled directions that hit the panel.
         pixel_arcmin: side of a square with the mean solid angle of a pixel.
         swim: change of a pixel's direction when the viewpoint moves by 1 mm, half to either side, along x, y and z.
-        ignoring_viewpoint: error at viewpoints all over the eye box of the pixel directions of the nominal viewpoint.
+        ignoring_viewpoint: error, over the eye box, of using the pixel directions of the nominal viewpoint everywhere.
         deviation_far: angle between the apparent and the true direction of a point at infinity.
         deviation_near: angle between the apparent and the true direction of a point 0.3 m away.
         deviation_change: change of `deviation_far` over the eye box with its corners, for the same view direction.
@@ -89,7 +89,7 @@ def device_figures(mappings: Eye, blue: Eye, red: Eye) -> DeviceFigures:
     """Compute all figures.
 
     Args:
-        mappings: the eye in the colour of all figures but `colour`.
+        mappings: the eye in the colour of all figures except `colour`.
         blue, red: the same eye at the two ends of the spectrum (Fraunhofer's F and C lines, 486.1 and 656.3 nm).
     """
     display, see_through, box = mappings.display, mappings.see_through, mappings.eye_box

@@ -68,8 +68,8 @@ class JudgedPair:
         name: camera position and target, in words.
         method: how the picture on the display was drawn.
         off, on: the photographs.
-        misalignment: of their dots; None if one of them shows too little.
-        complaint: why it shows too little, else empty.
+        misalignment: misalignment of their dots; None if they cannot be compared.
+        complaint: reason why they cannot be compared, else empty.
     """
 
     name: str
@@ -85,13 +85,13 @@ def judge_pair(name: str, method: str, photographs: tuple[Path, Path], board: Bo
 
     Args:
         name: camera position and target, in words.
-        method: of drawing.
-        photographs: with the display off, and on.
+        method: how the picture on the display was drawn.
+        photographs: photographs with the display off, and on.
         board: the target.
-        camera: that took them.
+        camera: lens of the camera that took both.
 
     Raises:
-        BadInputError: a photograph cannot be read, has another size than the camera's, or another depth than the other.
+        BadInputError: a photograph cannot be read, its size differs from the camera's, or their bit depths differ.
     """
     off, on = photographs
     images = [read_photograph(path) for path in photographs]

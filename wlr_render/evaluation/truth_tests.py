@@ -23,7 +23,7 @@ def compare(
     Args:
         eye: a fitted eye, such as `Calibration.mappings`.
         truth: the same eye with exact optics, from `open_eye` of a device.
-        seed: seed of the random viewpoints, pixels and depths. Must differ from the seed of the fitted captures.
+        seed: seed of the random viewpoints, pixels and depths; it must differ from the seed of the fitted captures.
         field: directions to test; the whole panel by default. `truth.field` is the nominal field of view.
 
     Returns:

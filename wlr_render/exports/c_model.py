@@ -51,7 +51,7 @@ class CModel(Format):
     )
 
     def files(self, view: ExportedView) -> list[str]:
-        """Return the models of a view's colours, and the header that reads them."""
+        """Return the names of the models of a view's colours and of the header that reads them."""
         return [*super().files(view), HEADER]
 
     def _write(self, view: ExportedView, colour: str, paths: Sequence[Path]) -> Iterator[Path]:
@@ -89,7 +89,7 @@ def model_bytes(view: ExportedView, colour: str) -> bytes:
 
 
 def _polynomial(polynomial: Polynomial, name: str) -> bytes:
-    """Return a polynomial of four inputs as a table over products of the first two and products of the last two."""
+    """Return a polynomial of four inputs as a table over products of the first two inputs and of the last two."""
     (heads, head), (tails, tail) = (_by_order(polynomial.orders[:, axes]) for axes in (slice(2), slice(2, 4)))
     if polynomial.orders.max() > _MOST_ORDER or max(len(heads), len(tails)) > _MOST_PRODUCTS:
         raise BadInputError(
@@ -105,9 +105,9 @@ def _polynomial(polynomial: Polynomial, name: str) -> bytes:
 
 
 def _by_order(orders: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the distinct rows (n, 2), lowest total order first, and the row of each term.
+    """Return the distinct rows (n, 2), lowest total order first, and the row index of each term.
 
-    In this order the coefficients of a product end where the total degree does, and a reader skips the zeros.
+    In this order the coefficients of a product end at the total degree, and a reader skips the zeros.
     """
     rows, index = np.unique(orders, axis=0, return_inverse=True)
     place = np.argsort(rows.sum(axis=1), kind="stable")
@@ -115,7 +115,7 @@ def _by_order(orders: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _square_errors(view: ExportedView, colour: str) -> FloatArray:
-    """Return predicted square errors, (rows, columns, z, y, x of the pupil) square arcminutes; empty if unknown."""
+    """Return predicted squared errors (rows, columns, z, y, x of the pupil) in square arcminutes; empty if unknown."""
     if not view.predictors:
         return np.zeros((0,) * 5)
     eye, unit = view.mappings(colour), np.linspace(-1.0, 1.0, _ERROR_PUPILS)

@@ -1,4 +1,4 @@
-"""A source picture and the panel picture it must give, to check another program against this one."""
+"""A source picture and the expected panel picture, to check another program against this one."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ _WORDS = (("TOP LEFT", 0.06, 0.1), ("BOTTOM RIGHT", 0.62, 0.94))
 
 
 def write_check(folder: Path, view: ExportedView, holds: Capabilities) -> list[Path]:
-    """Write `CHECK_SOURCE` of the size of a view's source picture, and `CHECK_PANEL`, its warp for the panel.
+    """Write `CHECK_SOURCE`, in the size of a view's source picture, and `CHECK_PANEL`, its warp for the panel.
 
     The warp is filtered in linear light.
     """

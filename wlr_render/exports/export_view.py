@@ -16,7 +16,7 @@ from wlr_render.warp.ray_map import RayMapPlan, middle_axes, ray_map, solve_pixe
 from wlr_render.warp.view import View
 
 ALL_COLOURS = "all"
-"""Name of the one map that serves all colours."""
+"""Name of the single map for all colours."""
 
 
 class Predicted(Protocol):
@@ -31,7 +31,7 @@ class Predicted(Protocol):
 
 
 Predictor = Callable[[FloatArray, float], Predicted]
-"""(viewpoint (3,), depth (m)) -> the predicted error of one channel."""
+"""Function of viewpoint (3,) and depth (m) that returns the predicted error of one channel."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,12 @@ class ExportedView:
         plans: plans of the ray maps, one for each channel, in the axes of the camera.
         source: the camera and its place in the device; its world is the device.
         viewpoint: (3,) centre of the entrance pupil in the device frame, metres.
-        depth_m: depth from the camera for which positions in the picture are right; infinite by default.
+        depth_m: depth from the camera at which positions in the picture are correct; infinite by default.
         time_s: time stamp of a trajectory.
         place_of: position (3,) of the camera in the device as a function of the viewpoint.
         other_light: mappings of the other colours that one map serves, by name; empty if unknown, or if each colour has
             a map.
-        predictors: of each channel; empty for headsets without predicted errors.
+        predictors: predicted errors of each channel; empty for headsets without predicted errors.
     """
 
     origin: Origin
@@ -83,7 +83,7 @@ class ExportedView:
     predictors: tuple[Predictor, ...] = ()
 
     def moved_to(self, viewpoint: FloatArray, stem: str, time_s: float | None) -> "ExportedView":
-        """Return the view of another pupil position, with its camera."""
+        """Return the view for another pupil position, with its camera."""
         source = replace(self.source, position_in_device=self.place_of(viewpoint))
         return replace(self, stem=stem, viewpoint=viewpoint, source=source, time_s=time_s)
 
@@ -118,7 +118,7 @@ class ExportedView:
         return self.channels[self.colours.index(colour)]
 
     def predicted_error(self, colour: str) -> Mapping[str, Any] | None:
-        """Return the predicted registration error of one colour at `viewpoint` and `depth_m`; None if there is none."""
+        """Return the predicted registration error of one colour at `viewpoint` and `depth_m`; None if unknown."""
         if not self.predictors:
             return None
         return self.predictors[self.colours.index(colour)](self.viewpoint, self.depth_m).record
@@ -146,7 +146,7 @@ class ExportedView:
 
         Args:
             colour: colour of the map.
-            pixel: anywhere on the panel, (0, 0) the outer corner of the top left pixel.
+            pixel: positions anywhere on the panel; (0, 0) is the outer corner of the top left pixel.
             viewpoint: (3,) another pupil position; the camera stays.
         """
         return self.rays_of(self.mappings(colour), pixel, self.viewpoint if viewpoint is None else viewpoint)
@@ -161,7 +161,7 @@ class ExportedView:
         return np.moveaxis(rays[:2] + rays[2:] / (self.depth_m if depth_m is None else depth_m), 0, -1)
 
     def source_px(self, colour: str) -> Float32Array:
-        """Return position (u, v) in the source picture of each panel pixel, (height, width, 2) float32; NaN for none.
+        """Return positions (u, v) of panel pixels in the source picture, (height, width, 2) float32; NaN without a ray.
 
         (0, 0) is the outer corner of the top left pixel of the picture, v runs down. Positions may lie outside.
         """
@@ -192,7 +192,7 @@ def view_from_centre(
     other_light: Mapping[str, Eye] | None = None,
     predictors: tuple[Predictor, ...] = (),
 ) -> ExportedView:
-    """Return a view from the centre of the eye box, with the camera that serves all of the box.
+    """Return a view from the centre of the eye box, with a camera for the whole box.
 
     Args:
         channels, origin, depth_m, other_light, predictors: see `ExportedView`.
@@ -227,11 +227,11 @@ def view_from_centre(
 def with_symmetric_camera(
     views: Mapping[str, ExportedView], source_size: tuple[int, int] | None = None
 ) -> dict[str, ExportedView]:
-    """Return views whose pictures have the same borders for each eye, as far to the left as to the right, up as down.
+    """Return views with symmetric pictures, left to right and up to down, with the same borders for each eye.
 
     Args:
-        views: by eye.
-        source_size: (width, height) of the pictures; as dense as the densest of the views by default.
+        views: views by eye.
+        source_size: (width, height) of the pictures; by default as dense as the densest view.
     """
     cameras = [view.source.camera for view in views.values()]
     half = np.max([np.abs([camera.tangent_min, camera.tangent_max]) for camera in cameras], axis=(0, 1))

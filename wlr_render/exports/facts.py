@@ -21,7 +21,7 @@ _ALIKE_ARCMIN = 1e-3
 
 
 def losses(view: ExportedView, form: Format, colour: str) -> list[Loss]:
-    """Return the errors of a view in one colour: as intended, at other depths, in other light, with another pupil.
+    """Return the errors of a view in one colour: as intended, at other depths, in other colours, with another pupil.
 
     Errors are angles at the source camera between the points that the panel's pixels show and should show, by the
     mappings. The pupil moves by `PUPIL_SHIFT_M` to the right, left, up and down in the device, within the eye box; the
@@ -57,7 +57,7 @@ def losses(view: ExportedView, form: Format, colour: str) -> list[Loss]:
 
 
 def not_held(view: ExportedView, form: Format) -> list[str]:
-    """Return the properties of the headset that the files of a format lose, a sentence each."""
+    """Return the properties of the headset that a format does not keep, a sentence each."""
     holds, name = form.holds, form.name
     lost = []
     if not holds.every_pupil:
@@ -82,7 +82,7 @@ def not_held(view: ExportedView, form: Format) -> list[str]:
 
 
 def _bends_all_light_alike(view: ExportedView) -> bool:
-    """Return whether red and blue light take the path of green; False if unknown."""
+    """Return whether red and blue light follow the path of green light; False if unknown."""
     pixel, colour = _pixel_centres(view.panel_size_px), view.middle_colour
     green = view.tangents(np.moveaxis(view.rays_at(colour, pixel), -1, 0))
     others = [np.moveaxis(view.rays_of(each, pixel, view.viewpoint), -1, 0) for each in view.other_light.values()]
@@ -102,7 +102,7 @@ def depth_words(depth_m: float) -> str:
 
 
 def _arcmin(view: ExportedView, shown: FloatArray, due: FloatArray, depth_m: float | None = None) -> FloatArray:
-    """Return the angles between tangents shown (n, 2) and of rays (4, n) at a depth, by default the view's."""
+    """Return the angles between tangents `shown` (n, 2) and rays `due` (4, n) at a depth, by default the view's."""
     return arcmin_between(dir_of_tangents(shown), dir_of_tangents(view.tangents(due, depth_m)))
 
 
@@ -115,9 +115,9 @@ def _loss(case: str, errors: list[FloatArray]) -> Loss:
 
 
 def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
-    """Return all that a receiver must know about one map, as plain JSON."""
+    """Return the facts that a receiver needs about one map, as plain JSON."""
     camera, (left, bottom), (right, top) = view.source.camera, *_borders(view)
-    judged = colour if colour in view.colours else view.middle_colour  # a file of all colours states the middle one
+    judged = colour if colour in view.colours else view.middle_colour  # of all colours, the middle one is judged
     return {
         "format": "wlr-export",
         "version": 1,
@@ -161,7 +161,7 @@ def _borders(view: ExportedView) -> tuple[list[float], list[float]]:
 
 
 def _depth_number(depth_m: float) -> float | str:
-    """Return a depth in metres, or "infinity", which JSON has no number for."""
+    """Return a depth in metres, or "infinity", as JSON has no such number."""
     return depth_m if math.isfinite(depth_m) else "infinity"
 
 

@@ -12,16 +12,16 @@ class Capabilities:
     """Capabilities of a format; other requests are refused, or named in the files and on the terminal.
 
     Attributes:
-        every_depth: rays, so that a reader who knows the depth of a point finds its position in the picture.
+        every_depth: rays, with which a reader who knows a point's depth can compute its position in the picture.
         colours: separate maps for red, green and blue.
-        pupils: several pupil positions, in a file each.
+        pupils: several pupil positions, one file each.
         every_pupil: one file for all pupil positions.
         asymmetric_field: borders of the source picture at different angles to the left and right, or up and down, and a
             turned camera for each eye.
         between_pixels: positions between the pixels of the source picture.
-        every_pixel: a position or ray for each panel pixel, not interpolated between some.
-        both_eyes: one file for both eyes, which needs both of them.
-        is_exr: OpenEXR files, which need an extra.
+        every_pixel: a position or ray for each panel pixel, without interpolation.
+        both_eyes: one file for both eyes, which requires both.
+        is_exr: OpenEXR files, which need an optional dependency.
     """
 
     every_depth: bool = False
@@ -58,10 +58,9 @@ class Format:
         name: name of the format on the command line.
         title: content and audience, in one line.
         holds: its capabilities.
-        convention: meaning of the numbers of a file, a sentence each; also in every file or next to it.
-        use: how to use the files in their program, a step each; NAME is the start of a file's name, WxH the panel's
-            size.
-        endings: ends of the names of the files of a view and colour.
+        convention: sentences on the meaning of a file's numbers; also written in every file or next to it.
+        use: steps for using the files in their program; NAME is the start of a file's name, WxH the panel's size.
+        endings: endings of the file names of a view and colour.
         has_all_colours: whether a file holds all colours of its view.
     """
 
@@ -74,20 +73,20 @@ class Format:
     has_all_colours = False
 
     def files(self, view: ExportedView) -> list[str]:
-        """Return the names of the files that hold a view, in the order in which they are written."""
+        """Return the names of a view's files, in the order in which they are written."""
         return [stem + ending for _, stem in self._parts(view) for ending in self.endings]
 
     def interpolation(self, view: ExportedView, colour: str) -> Loss:
-        """Return the interpolation error of a reader between the points of a file; none for formats of every pixel."""
+        """Return a reader's interpolation error between the points of a file; none for formats with every pixel."""
         return Loss("", 0.0, 0.0)
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write the files of all views into a folder; yields each one when it is finished.
+        """Write the files of all views into a folder; yield each file when it is finished.
 
-        Views are made one after the other and are large: a format that writes one file per view keeps none of them.
+        Views are generated one by one and are large: a format that writes one file per view keeps no view.
 
         Raises:
-            BadInputError: the format does not hold a view, or a file cannot be written.
+            BadInputError: the format cannot represent a view, or a file cannot be written.
             MissingExtraError: a library that the format needs is not installed.
         """
         for view in views:
@@ -95,11 +94,11 @@ class Format:
                 yield from self._write(view, colour, [folder / (stem + ending) for ending in self.endings])
 
     def _parts(self, view: ExportedView) -> list[tuple[str, str]]:
-        """Return the colour, or all of them, and the start of the file names, of each part of a view."""
+        """Return the colour, or all colours, and the start of the file names of each part of a view."""
         if self.has_all_colours:
             return [(view.all_colours, view.stem)]
         return list(zip(view.colours, view.stems, strict=True))
 
     def _write(self, view: ExportedView, colour: str, paths: Sequence[Path]) -> Iterable[Path]:
-        """Write the files of one colour, or of all, one for each ending; returns or yields their paths."""
+        """Write the files of one colour, or of all, one for each ending; return or yield their paths."""
         raise NotImplementedError

@@ -1,4 +1,4 @@
-"""The formats of `export` by their names."""
+"""The formats of `export`, by name."""
 
 from typing import Literal
 
@@ -21,5 +21,5 @@ FORMATS: tuple[Format, ...] = (
 
 
 def format_of(name: str) -> Format:
-    """Return the format of a name."""
+    """Return the format with a name."""
     return next(form for form in FORMATS if form.name == name)

@@ -60,8 +60,8 @@ class GltfMesh(Format):
         return Loss("between the points of the mesh, at most", None, TOLERANCE_ARCMIN)
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write a file for each view; yields its path as `Format` does."""
-        grids: dict[str, WarpGrid] = {}  # grid of each eye: one serves the whole eye box
+        """Write a file for each view; yield its path, see `Format`."""
+        grids: dict[str, WarpGrid] = {}  # one grid per eye, for the whole eye box
         for view in views:
             if view.eye not in grids:
                 grids[view.eye] = _grid(view)

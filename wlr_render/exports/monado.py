@@ -17,9 +17,9 @@ from wlr_render.io.atomic_files import write_text
 from wlr_render.numerics.arrays import FloatArray
 
 _POINTS = 65
-"""Grid points along each side of the panel: Monado's own mesh has 64 cells, whose corners these are."""
+"""Grid points along each side of the panel: the corners of the 64 cells of Monado's own mesh."""
 _PANEL_PX = (1440, 1600)
-"""Size of the window that the driver opens for each eye, whatever the file states."""
+"""Size of the window that the driver always opens for each eye."""
 _EDGE_TO_EDGE = np.linspace(0.0, 1.0, _POINTS)
 _EYES = ("left", "right")
 
@@ -56,10 +56,10 @@ class Monado(Format):
         return ["monado-northstar.json"]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write one file of both eyes.
+        """Write one file for both eyes.
 
         Raises:
-            BadInputError: another panel than the driver's, or points of the grid that have no ray.
+            BadInputError: a panel other than the driver's, or grid points without a ray.
         """
         by_eye = {view.eye: view for view in views}
         places = np.stack([by_eye[eye].source.position_in_device for eye in _EYES])
@@ -87,7 +87,7 @@ def _tangents(view: ExportedView, columns: FloatArray = _EDGE_TO_EDGE, rows: Flo
     """Return the tangents (rows, columns, 2), x right, y up, from the source camera, of panel positions from 0 to 1.
 
     Raises:
-        BadInputError: another panel than the driver's, or positions without a ray.
+        BadInputError: a panel other than the driver's, or positions without a ray.
     """
     if view.panel_size_px != _PANEL_PX:
         width, height = view.panel_size_px
@@ -117,8 +117,8 @@ def _linear_errors(view: ExportedView, grid: FloatArray) -> FloatArray:
 def _config(
     grids: dict[str, FloatArray], camera: Pinhole, places: FloatArray, about: dict[str, dict[str, Any]]
 ) -> dict[str, Any]:
-    # The driver takes y as the downward tangent only for a picture that is symmetric up and down, so this one always
-    # is.
+    # The driver takes y as the downward tangent only for a picture that is symmetric up and down, so this picture
+    # always is.
     (left, down), (right, up) = np.arctan([camera.tangent_min, camera.tangent_max]).tolist()
     return {
         "type": "meshgrid",

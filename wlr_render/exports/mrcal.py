@@ -20,17 +20,17 @@ from wlr_render.numerics.arrays import FloatArray
 _COLUMNS = (12, 16, 20, 26, 32)
 """Numbers of control points across the field of view, tried in this order."""
 _WANTED_PX = 0.001
-"""Wanted rms error at pixels that were not fitted; the first number of control points that reaches it is used."""
+"""Target rms error at pixels that were not fitted; the first number of control points that reaches it is used."""
 _REFUSED_PX = 0.1
 """Largest rms error; above it the pixels are not a continuous function of the direction: they fold or step."""
 _FITTED, _HELD_OUT = 97, 60
-"""Panel positions along each side: number that is fitted, and number that validates the fit."""
+"""Numbers of panel positions along each side, for the fit and for its validation."""
 _FEWEST = 100
 """Fewest rays for a fit: 1 % of the positions."""
 _SMOOTHING = 1e-5
 """Weight of the control points' third differences: small enough to affect only control points that no ray reaches."""
 _CENTRE_SHIFT = 0.5
-"""mrcal puts (0, 0) at the centre of the first pixel."""
+"""Our pixel position minus mrcal's, in which (0, 0) is the centre of the first pixel."""
 _WIDEST_DEG = 300
 
 
@@ -66,7 +66,7 @@ class Mrcal(Format):
         return Loss("error of the splines, in the middle's pixels", _rms(arcmin), float(arcmin.max()))
 
     def _write(self, view: ExportedView, colour: str, paths: Sequence[Path]) -> Iterator[Path]:
-        """Write a model; yields its path.
+        """Write a model; yield its path.
 
         Raises:
             BadInputError: no rays, or pixels that are not a continuous function of the direction.
@@ -76,7 +76,7 @@ class Mrcal(Format):
 
 
 def _intervals_per_unit(field_x_deg: float, columns: int) -> float:
-    """Return mrcal's knot density: the field of view and, for cubic splines, one more interval on either side."""
+    """Return mrcal's knots per unit: they span the field of view and, for cubic splines, an interval on either side."""
     return float((columns - 3) / (4 * np.tan(np.radians(field_x_deg) / 4)))
 
 
@@ -90,7 +90,7 @@ def _spline_weights(u: FloatArray, field_x_deg: float, shape: tuple[int, int]) -
 
 @functools.lru_cache(maxsize=3)
 def _fitted_camera(view: ExportedView, colour: str) -> tuple[SplinedLens, FloatArray]:
-    """Fit the camera with the fewest control points that reach the wanted error; returns errors (n,) in pixels."""
+    """Fit the camera with the fewest control points that reach the target error; also return errors (n,) in pixels."""
     u, pixel = _samples(view, colour, np.linspace(0.0, 1.0, _FITTED))
     step = 1.0 / _HELD_OUT
     judged_u, judged_pixel = _samples(view, colour, np.linspace(0.5 * step, 1.0 - 0.5 * step, _HELD_OUT))
@@ -137,7 +137,7 @@ def _fit(u: FloatArray, pixel: FloatArray, columns: int, size_px: tuple[int, int
 
 
 def _projected(camera: SplinedLens, u: FloatArray) -> FloatArray:
-    """Return the pixels (n, 2) of stereographic coordinates (n, 2); as mrcal, also where the spline folds."""
+    """Return the pixels (n, 2) of stereographic coordinates (n, 2); like mrcal, even where the spline folds."""
     rows, columns, _ = camera.control.shape
     shift = _spline_weights(u, camera.fov_x_deg, (columns, rows)) @ camera.control.reshape(-1, 2)
     return np.asarray((u + shift) * camera.focal_px + camera.centre_px)

@@ -30,12 +30,12 @@ TEMPLATE = "page.html"
 _DATA = "DATA_OF_THE_PAGE"
 SCENE = "desk"
 MOST_PX = 800
-"""Largest width or height of the panel's picture: what software renderers draw several times a second."""
+"""Largest width or height of the panel's picture that software renderers draw several times a second."""
 _MOST_TURN_DEG = 8.0
 _MARGIN_DEG = 10.0
-"""Angles that the head turns, and that the picture of the scene has around the field of view: the corners need more."""
+"""Margin of the scene's picture around the field of view: more than the head turns, because of the corners."""
 _MAP_CELLS = 12
-"""Cells of the maps across and down."""
+"""Numbers of cells of the maps across and down."""
 _NAIVE_POINTS = 17
 _EYE_NODES = 13
 
@@ -112,9 +112,9 @@ def page_data(view: ExportedView, colour: str) -> dict[str, Any]:
 
 
 def _flat_picture(eye: Eye) -> FloatArray:
-    """Return the naive method's view tangents as a linear function of (1, x, y), panel positions of 0 to 1: (3, 2).
+    """Return the naive method's view tangents as a linear function (3, 2) of (1, x, y), panel positions from 0 to 1.
 
-    The best one for the centre of the eye box, as in the demo.
+    It is the best fit at the centre of the eye box, as in the demo.
     """
     pixel = eye.display.panel.grid(_NAIVE_POINTS, _NAIVE_POINTS).reshape(-1, 2)
     shown = eye.display.view_dir_of_pixel(pixel, eye.eye_box.centre)
@@ -133,7 +133,7 @@ def _eye_camera(eye: Eye, height_px: int) -> Pinhole:
 
 
 def _picture_camera(source: Pinhole, scale: float) -> Pinhole:
-    """Return the camera of the scene's picture: the field of view of the whole eye box, and room to turn the head."""
+    """Return the camera of the scene's picture: the whole eye box's field of view, with a margin for head turns."""
     edges = np.stack([source.tangent_min, source.tangent_max])
     margin = np.tan(np.deg2rad(_MARGIN_DEG)) * (1.0 + edges**2)
     return Pinhole.covering(edges + margin * [[-1.0], [1.0]], scale * float(source.focal_px.mean()))
@@ -151,7 +151,7 @@ def _picture(view: ExportedView, camera: Pinhole) -> tuple[NDArray[np.uint8], Fl
 
 
 def _borders(camera: Pinhole) -> list[float]:
-    """Return the tangents of the borders: left, right, bottom, top."""
+    """Return the tangents of the left, right, bottom and top borders."""
     return np.stack([camera.tangent_min, camera.tangent_max], axis=1).ravel().tolist()
 
 

@@ -15,9 +15,9 @@ from wlr_render.scene.exr_file import write_exr
 from wlr_render.scene.image_files import write_map
 
 STMAP_NO_RAY = np.float32(-1.0)
-"""Position of panel pixels without a ray: outside the picture; NaN would spread in a reader's filter."""
+"""Position of panel pixels without a ray: outside the picture, because NaN would spread in a reader's filter."""
 FFMPEG_NO_RAY = 65535
-"""The same in the remap pair: ffmpeg fills positions outside the source."""
+"""Position of such pixels in the remap pair: ffmpeg fills positions outside the source."""
 _IN_HEADER = (
     "The header has the headset, eye, viewpoint and source camera in all digits, as texts whose names begin with wlr: "
     "(wlr:source_camera is JSON)."

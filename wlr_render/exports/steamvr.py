@@ -1,4 +1,4 @@
-"""The optics of SteamVR's JSON file of a headset: a radial distortion for each eye and colour."""
+"""The optics in SteamVR's JSON file of a headset: a radial distortion for each eye and colour."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -20,7 +20,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 _POINTS = 25  # points along each side of the panel at which the distortion is fitted
 _KEYS = {"red": "distortion_red", "green": "distortion", "blue": "distortion_blue"}
-_COMMON, _OF_COLOUR = 5, 5  # unknowns: focal lengths and rotation vector; of each colour its centre and coefficients
+_COMMON, _OF_COLOUR = 5, 5  # unknowns: focal lengths and rotation vector; per colour, centre and coefficients
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +28,10 @@ class _Fit:
     """Fitted optics of one eye.
 
     Attributes:
-        focal: (2,) of the intrinsics.
+        focal: (2,) focal lengths of the intrinsics.
         device_from_lens: (3, 3) rotation of the lens's axis.
-        centre, k: (colours, 2), (colours, 3) of the distortion.
-        errors_arcmin: (colours, points) between the fitted and the exact directions.
+        centre, k: (colours, 2), (colours, 3) centres and coefficients of the distortion.
+        errors_arcmin: (colours, points) angles between the fitted and the exact directions.
     """
 
     focal: FloatArray
@@ -71,10 +71,10 @@ class SteamVr(Format):
         return ["steamvr.json"]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write one file of both eyes.
+        """Write one file for both eyes.
 
         Raises:
-            BadInputError: no radial distortion can be fitted, as most pixels have no ray.
+            BadInputError: no radial distortion can be fitted, because most pixels have no ray.
         """
         left, right = sorted(views, key=lambda view: view.eye)
         apart = right.source.position_in_device[0] - left.source.position_in_device[0]
@@ -111,7 +111,7 @@ class SteamVr(Format):
 
 
 def _fitted(view: ExportedView) -> _Fit:
-    """Fit lens axis, focal lengths, and a distortion of each colour, by least squares of tangents.
+    """Fit lens axis, focal lengths and a distortion of each colour, by least squares of tangents.
 
     Raises:
         BadInputError: fewer than half of the points have a ray.

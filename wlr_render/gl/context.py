@@ -31,7 +31,7 @@ Buffer = moderngl.Buffer
 _Object = TypeVar("_Object")
 
 GROUP = 8
-"""Side of a work group of compute shaders, in texels."""
+"""Side of a compute shader's work group, in texels."""
 
 _SOFTWARE = "llvmpipe", "softpipe", "swrast", "swiftshader"
 _FRAMEBUFFER = 0x8D40
@@ -42,7 +42,7 @@ _SRGB_DECODE, _SKIP_DECODE = 0x8A48, 0x8A4A  # enums of GL_EXT_texture_sRGB_deco
 
 
 class _NestedBlock:
-    """A block within a drawing block, of which it is a part."""
+    """A block nested in a drawing block."""
 
     def __init__(self, ctx: moderngl.Context, at_end: Callable[[], None]) -> None:
         self._ctx, self._at_end = ctx, at_end
@@ -57,13 +57,13 @@ class _NestedBlock:
 class GlContext:
     """An OpenGL context and its shader programs; a context manager that releases it.
 
-    Each `drawing` block makes its context current, and afterwards the previous one.
+    Each `drawing` block makes its context current, and the previous context at the end.
 
     Attributes:
         backend: "egl", "osmesa", or the platform of an adopted context.
-        renderer: name of what draws, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)".
+        renderer: OpenGL's name of the renderer, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)".
         largest_side_px: limit of OpenGL on a texture's or framebuffer's width and height.
-        host_is_clean: whether this is the host's own context, in which it promises OpenGL's default state.
+        host_is_clean: whether this is the host's own context, in which it guarantees OpenGL's default state.
         computes: whether the warp and its passes run as compute shaders: on a GPU with OpenGL 4.3.
     """
 
@@ -75,10 +75,10 @@ class GlContext:
         caller: moderngl.Context | None = None,
         host_is_clean: bool = False,
     ) -> None:
-        """Wrap ModernGL's context of the current one; `caller` is the host's own of ModernGL."""
+        """Wrap ModernGL's context `ctx` of the current context; `caller` is the host's ModernGL context."""
         self._ctx, self._current, self._owner, self._caller = ctx, current, owner, caller
         self._objects: weakref.WeakSet[Any] = weakref.WeakSet()
-        # Objects that Python drops are freed in the next drawing block, when this context is sure to be current.
+        # Garbage-collected objects are freed in the next drawing block, in which this context is certainly current.
         self._ctx.gc_mode = "context_gc"
         self._programs: dict[tuple[object, ...], Program] = {}
         self._compute_programs: dict[tuple[object, ...], ComputeShader] = {}
@@ -110,19 +110,19 @@ class GlContext:
         return any(name in self.renderer.lower() for name in _SOFTWARE)
 
     def drawing(self, third_party: bool = False) -> contextlib.AbstractContextManager[moderngl.Context]:
-        """Return a block of OpenGL calls: this context current, all switches off, errors raised at the end.
+        """Return a block of OpenGL calls: this context is current, capabilities are off, errors are raised at its end.
 
         Args:
-            third_party: other software draws in the block, which may leave switches on.
+            third_party: True if other software draws in the block, which may leave capabilities on.
 
         Raises:
             GlError: a call in the block failed.
-            BadInputError: it has been released, or cannot be made current on this thread.
+            BadInputError: the context has been released, or cannot be made current on this thread.
         """
         return self._nested if self._is_inside() and not third_party else self._block(third_party, True)
 
     def working(self) -> contextlib.AbstractContextManager[moderngl.Context]:
-        """Return a block as `drawing`, in which this library alone draws, and leaves all switches off."""
+        """Return a block like `drawing`, in which this library alone draws, and leaves all capabilities off."""
         return self._nested if self._is_inside() else self._block(False, False)
 
     def _is_inside(self) -> bool:
@@ -132,14 +132,14 @@ class GlContext:
     def _block(self, third_party: bool, is_public: bool) -> Iterator[moderngl.Context]:
         self._check_alive()
         with self._owner.entered():
-            self._check_alive()  # another thread may have released it meanwhile
+            self._check_alive()  # another thread may have released the context meanwhile
             outermost = not self._depth
             if outermost and self._is_disturbed and not self.host_is_clean:
                 self._ctx.enable_only(moderngl.NOTHING)
             free_dropped(self._ctx)
             self._depth, self._thread = self._depth + 1, threading.get_ident()
             self._switched = self._switched or third_party
-            self._is_disturbed = is_public  # others may leave any switch on
+            self._is_disturbed = is_public  # other software may leave any capability on
             try:
                 yield self._ctx
             except BaseException:
@@ -171,14 +171,14 @@ class GlContext:
     def host(self) -> Iterator[None]:
         """Return a block, in a drawing block, for the framebuffers of the program whose context was adopted.
 
-        Framebuffers are not shared between contexts. What the block binds is restored; see `ContextOwner.host`.
+        Framebuffers are not shared between contexts. Bindings are restored at the end; see `ContextOwner.host`.
 
         Raises:
             BadInputError: the adopted context was not current on this thread before the drawing block.
         """
         depth = self._depth
         with self._owner.host():
-            self._depth = 0  # a block within makes this context current again
+            self._depth = 0  # a nested block must make this context current again
             try:
                 yield
             finally:
@@ -189,13 +189,13 @@ class GlContext:
         return self._current.function(name, *argument_types, result=result)
 
     def has(self, thing: Texture | TextureArray | Framebuffer | Buffer) -> bool:
-        """Return whether the object was made in this context or in the one that was adopted."""
+        """Return whether the object was made in this context or in the adopted context."""
         if thing.ctx is self._ctx or thing.ctx is self._caller:
             return True
         return not isinstance(thing.ctx.mglo, moderngl.InvalidObject) and self._owner.is_same_as(thing.ctx)
 
     def is_ours(self, thing: Framebuffer) -> bool:
-        """Return whether the object was made in this very context."""
+        """Return whether the object was made in this context, not in the adopted one."""
         return bool(thing.ctx is self._ctx)
 
     @property
@@ -204,7 +204,7 @@ class GlContext:
         return self._owner.has_host
 
     def take_error(self) -> int:
-        """Return the oldest error that OpenGL holds (0: none), after which it holds none; call it in a drawing block.
+        """Return OpenGL's oldest error (0: none) and clear all errors; call it in a drawing block.
 
         Raises:
             GlError: the context is lost.
@@ -217,7 +217,7 @@ class GlContext:
         Args:
             vertex: file name.
             fragment: file name.
-            constants: for both.
+            constants: constants of both.
         """
         key = vertex, fragment, *sorted(constants.items())
         if key not in self._programs:
@@ -232,8 +232,8 @@ class GlContext:
         """Return the compute shader of a file in shaders/, compiled once for each set of constants; OpenGL 4.3.
 
         Args:
-            name: of a compute shader, or of a full-screen fragment shader without derivatives.
-            constants: as `program`.
+            name: file name of a compute shader, or of a full-screen fragment shader without derivatives.
+            constants: see `program`.
         """
         key = name, *sorted(constants.items())
         if key not in self._compute_programs:
@@ -243,9 +243,9 @@ class GlContext:
         return self._compute_programs[key]
 
     def compute(self, program: ComputeShader, textures: Sequence[Texture]) -> None:
-        """Run a compute shader for each texel of textures that `target` made, its images 0, 1 and so on.
+        """Run a compute shader for each texel of textures made by `target`, bound as images 0, 1 and so on.
 
-        Later commands see the result.
+        Later commands see its results.
         """
         for unit, texture in enumerate(textures):
             texture.bind_to_image(unit, read=False, write=True, format=_RGB10_A2 if texture.extra == _RGB10_A2 else 0)
@@ -257,11 +257,11 @@ class GlContext:
         return self.program("full_screen.vert", fragment, **constants)
 
     def full_screen(self, fragment: str, /, **constants: float) -> VertexArray:
-        """One triangle over the whole target that runs a fragment shader for each pixel: `.render(vertices=3)`."""
+        """Return a triangle that runs a fragment shader for each pixel of a target: `.render(vertices=3)`."""
         return self.no_vertices(self.full_screen_program(fragment, **constants))
 
     def no_vertices(self, program: Program) -> VertexArray:
-        """Return a program that draws from `gl_VertexID` alone: `.render(vertices=n)`; made once for each program."""
+        """Return a program that draws from `gl_VertexID` alone: `.render(vertices=n)`; cached for each program."""
         if program.glo not in self._no_vertices:
             self._no_vertices[program.glo] = self.tracked(self._ctx.vertex_array(program, []))
         return self._no_vertices[program.glo]
@@ -269,7 +269,7 @@ class GlContext:
     def target(self, size: tuple[int, int], components: int, dtype: str) -> Texture:
         """Return an empty texture of (width, height) to draw into: dtype "f1" (8 bit), "nu2", "f2", "f4", "i4" or "u1".
 
-        "srgb" of four components holds sRGB codes in 8 bits: drawn and read as they are, decoded when sampled. "rgb10"
+        "srgb" of four components holds sRGB codes in 8 bits: drawn and read unchanged, decoded when sampled. "rgb10"
         has 10 bits, and 2 of alpha, and is read as uint16.
         """
         if dtype == "srgb":
@@ -286,13 +286,13 @@ class GlContext:
 
     @cached_property
     def no_status(self) -> Texture:
-        """A placeholder for programs that draw no backdrop; call it in a drawing block first."""
+        """A placeholder for programs that draw no backdrop; its first use must be in a drawing block."""
         return self.target((1, 1), 1, "u1")
 
     def srgb_texture(self, image: NDArray[np.uint8]) -> Texture:
         """Return an sRGB picture (height, width, 3) that is sampled in linear light, bilinear, repeating.
 
-        The hardware's filter weights have 8 bits, so that a sample errs by up to 6e-3 of the local contrast.
+        The hardware's filter weights have 8 bits, so the error of a sample is up to 6e-3 of the local contrast.
         """
         height, width = image.shape[:2]
         pixels = np.ascontiguousarray(image)
@@ -302,7 +302,7 @@ class GlContext:
         return texture
 
     def plain_sampler(self, decodes: bool = False) -> Sampler:
-        """Return a sampler of the nearest texel, without depth comparison; `decodes` sRGB formats or reads codes."""
+        """Return a nearest-texel sampler without depth comparison; it reads sRGB formats as codes unless `decodes`."""
         nearest = moderngl.NEAREST, moderngl.NEAREST
         sampler = self.tracked(self._ctx.sampler(repeat_x=False, repeat_y=False, filter=nearest, compare_func=""))
         if not decodes and self.reads_srgb_codes:
@@ -311,18 +311,18 @@ class GlContext:
         return sampler
 
     def third_party_texture(self, number: int, size: tuple[int, int]) -> Texture:
-        """Return a 2D texture of 8 bits that others made and free, by its OpenGL name; in a third-party block."""
+        """Wrap an 8-bit 2D texture that other software owns, by its OpenGL name; call it in a third-party block."""
         forget_textures(self._ctx)
         return self._ctx.external_texture(number, size, 4, 0, "f1")
 
     @property
     def texture_unit(self) -> int:
-        """The unit for textures that are bound to be written or asked about; no shader reads from it."""
+        """The unit for textures that are bound for writing or queries; no shader reads from it."""
         return int(self._ctx.default_texture_unit)
 
     @property
     def reads_srgb_codes(self) -> bool:
-        """True if `plain_sampler` can read the codes of sRGB formats; otherwise OpenGL decodes them all the same."""
+        """True if `plain_sampler` can read the codes of sRGB formats; otherwise OpenGL always decodes them."""
         return "GL_EXT_texture_sRGB_decode" in self._ctx.extensions
 
     def depth_target(self, size: tuple[int, int]) -> Texture:
@@ -334,14 +334,14 @@ class GlContext:
     def framebuffer(self, textures: list[Texture], depth: Texture | None = None) -> Framebuffer:
         """Return a target of several textures of one size, the shader's outputs 0, 1, ... in this order."""
         made = self.tracked(self._ctx.framebuffer(textures, depth))
-        made.use()  # sets its draw buffers
+        made.use()  # sets the draw buffers
         return made
 
     def draw_to(self, framebuffer: Framebuffer) -> None:
         """Draw to a framebuffer's viewport until another one is bound.
 
-        As `Framebuffer.use`, which also sets draw buffers, masks and scissor test in five more calls: our framebuffers
-        keep the settings of their first use. ModernGL does not record this binding: make no framebuffer and clear none
+        `Framebuffer.use` also sets draw buffers, masks and scissor test, in five more calls: our framebuffers keep
+        these settings from their first use. ModernGL does not record this binding: do not create or clear framebuffers
         before the draw.
         """
         if not framebuffer.glo:
@@ -353,7 +353,7 @@ class GlContext:
     def triangles(
         self, program: Program, attributes: dict[str, NDArray[Any]], indices: NDArray[np.uint32]
     ) -> VertexArray:
-        """Return an indexed triangle mesh; attributes (vertices, n) become float32, unused ones are left out."""
+        """Return an indexed triangle mesh; attributes (vertices, n) become float32, unused attributes are left out."""
         content = [
             (self._buffer(values, np.float32), f"{values.shape[1]}f4", name)
             for name, values in attributes.items()
@@ -371,7 +371,8 @@ class GlContext:
         """Destroy the context with its objects; of a clean host's context only the objects made here.
 
         Returns:
-            Whether it is released: not, with a RuntimeWarning, while a clean host's context is not current here.
+            Whether it was released: False, with a RuntimeWarning, if a clean host's context is not current on this
+            thread.
         """
         caller_is_gone = self._caller is not None and isinstance(self._caller.mglo, moderngl.InvalidObject)
         is_gone = self.host_is_clean and caller_is_gone and not self._current.is_current()
@@ -386,7 +387,7 @@ class GlContext:
         try:
             return self._owner.release(self._objects)
         except GlError:
-            return True  # the context is lost with all its objects
+            return True  # a lost context has lost all its objects
 
     def _buffer(self, values: NDArray[Any], dtype: DTypeLike) -> Any:
         return self.tracked(self._ctx.buffer(np.ascontiguousarray(values, dtype)))

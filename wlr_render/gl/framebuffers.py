@@ -1,7 +1,7 @@
 """Images of other software's framebuffers and textures: queries, and our own framebuffers with the same images.
 
 An image is one layer and level of a texture, or a renderbuffer. We attach it to our own framebuffer, so that the
-read buffer, draw buffers and attachments of the caller's framebuffers stay untouched.
+read buffer, draw buffers and attachments of the caller's framebuffers are not changed.
 """
 
 import contextlib
@@ -46,16 +46,16 @@ class TextureLayer:
 
     Attributes:
         texture: ModernGL's `Texture` or `TextureArray`, or the OpenGL name of a texture.
-        layer: of an array texture, whose layer 0 is shown if it is left out; 0 for other textures.
+        layer: layer of an array texture, 0 by default; 0 for other textures.
         level: mip level; the picture has that level's size.
-        rect_px: (x, y, width, height) of the picture in it, as `imageRect` of XrSwapchainSubImage: from the column and
-            row that come first in memory, OpenGL's lower left corner. All of it if None.
+        rect_px: (x, y, width, height) of the picture in the level, like `imageRect` of XrSwapchainSubImage: from the
+            first column and row in memory, OpenGL's lower left corner. The whole level if None.
 
-    OpenGL is asked once about an object of this class that holds a name: make a new one for a new texture.
+    OpenGL is queried once for an object of this class with an OpenGL name: make a new object for a new texture.
 
     Raises:
-        BadInputError: `texture` is neither, layer or level is not a whole number from 0, or `rect_px` is not a
-            rectangle.
+        BadInputError: invalid `texture`, a layer or level that is not a whole number from 0, or a `rect_px` that is not
+            a rectangle.
     """
 
     texture: Any
@@ -77,13 +77,13 @@ class TextureLayer:
         if not is_rect or min(rect[:2]) < 0 or min(rect[2:]) < 1:
             raise BadInputError(f"rect_px is {rect!r}; give (x, y, width, height), four whole numbers.")
         if self.rect_px is not None:
-            object.__setattr__(self, "rect_px", tuple(map(int, rect)))  # a key of caches
+            object.__setattr__(self, "rect_px", tuple(map(int, rect)))  # plain numbers, for keys of caches
 
     def rect_in(self, size_px: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
         """Return the first pixel (x, y) and the size (width, height) of the picture in a level of a size.
 
         Raises:
-            BadInputError: the rectangle reaches outside.
+            BadInputError: the rectangle is not inside the level.
         """
         x, y, width, height = self.rect_px or (0, 0, *size_px)
         if x + width > size_px[0] or y + height > size_px[1]:
@@ -121,7 +121,7 @@ class ImageFormat:
 
     Attributes:
         numbers: type of the components, an enum of OpenGL.
-        red_bits, blue_bits, depth_bits, stencil_bits: 0 without that component.
+        red_bits, blue_bits, depth_bits, stencil_bits: bits of each component; 0 without it.
         is_srgb: whether OpenGL decodes the codes of the format when it is sampled.
     """
 
@@ -141,7 +141,7 @@ class FramebufferQueries:
         self._functions: dict[str, Callable[..., Any]] = {}
 
     def gl(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
-        """Return an OpenGL function as `GlContext.function` does; each name is looked up once."""
+        """Return an OpenGL function like `GlContext.function`; each name is looked up once."""
         if name not in self._functions:
             self._functions[name] = self._context.function(name, *argument_types, result=result)
         return self._functions[name]
@@ -171,15 +171,16 @@ class FramebufferQueries:
         return image, size, first_px
 
     def bind(self, number: int, target: int = BOTH) -> None:
-        """Bind a framebuffer object; the other methods concern it."""
+        """Bind a framebuffer object, to which the other methods refer."""
         self.gl("glBindFramebuffer", _UINT, _UINT)(target, number)
 
     def images_of(self, framebuffer: Any, points: Sequence[int]) -> "list[Image | None]":
         """Return the images that are attached to a framebuffer of the caller, ModernGL's or by its number.
 
         Raises:
-            BadInputError: no such framebuffer object, or an incomplete one; a whole array of layers is attached, or a
-                layer of a multisampled array, which Mesa does not name; or as `GlContext.host`.
+            BadInputError: a framebuffer object that does not exist or is incomplete, or to which a whole array of
+                layers or a layer of a multisampled array, which Mesa does not report, is attached; or as
+                `GlContext.host`.
         """
         number = int(framebuffer if is_number(framebuffer) else framebuffer.glo)
         is_ours = not is_number(framebuffer) and self._context.is_ours(framebuffer)
@@ -225,7 +226,7 @@ class FramebufferQueries:
 
     @contextlib.contextmanager
     def made(self) -> Iterator[int]:
-        """Make a framebuffer object of the context that is current, for a block."""
+        """Make a framebuffer object in the current context, for a block."""
         name = _UINT()
         self.gl("glGenFramebuffers", _INT, ctypes.c_void_p)(1, ctypes.addressof(name))
         try:
@@ -240,7 +241,7 @@ class FramebufferQueries:
         blit(x, y, x + width, y + height, 0, 0, width, height, buffers, _NEAREST)
 
     def attach(self, point: int, image: Image) -> bool:
-        """Attach an image to the framebuffer, and detach all others; returns whether it is complete then."""
+        """Attach an image to the framebuffer, and detach all others; return whether it is then complete."""
         attach = self.gl("glFramebufferRenderbuffer", *[_UINT] * 4)
         for other in {COLOUR, DEPTH} - {point}:
             attach(BOTH, other, _RENDERBUFFER, 0)
@@ -256,13 +257,13 @@ class FramebufferQueries:
         return not self._context.take_error() and self.is_complete()
 
     def format(self, point: int) -> ImageFormat:
-        """Format of the image that is attached there."""
+        """Return the format of the image at an attachment point."""
         enums = _NUMBERS, _RED, _BLUE, _DEPTH_BITS, _STENCIL_BITS
         numbers, red, blue, depth, stencil = (self._of_attachment(point, enum) for enum in enums)
         return ImageFormat(numbers, red, blue, depth, stencil, self._of_attachment(point, _CODING) == _SRGB)
 
     def size(self, image: Image) -> tuple[int, int]:
-        """Width and height of an image; (0, 0) if it is of an unknown kind."""
+        """Return width and height of an image; (0, 0) for an unknown kind."""
         if image.is_renderbuffer:
             self.gl("glBindRenderbuffer", _UINT, _UINT)(_RENDERBUFFER, image.name)
             read = self.gl("glGetRenderbufferParameteriv", _UINT, _UINT, ctypes.c_void_p)
@@ -286,7 +287,7 @@ class FramebufferQueries:
             raise BadInputError(f"texture {image.name} has no layer {image.layer}; it has {layers}, counted from 0.")
 
     def sampled(self, image: Image) -> "tuple[int, ImageFormat] | None":
-        """Return target and format of a texture whose image shaders can read as it is: 2D or 2D array; else None."""
+        """Return target and format of a 2D or 2D-array texture that shaders can read directly; None for others."""
         if image.is_renderbuffer or image.level or image.face:
             return None
         read_level = self.gl("glGetTexLevelParameteriv", _UINT, _INT, _UINT, ctypes.c_void_p)
@@ -311,7 +312,7 @@ class FramebufferQueries:
         return None
 
     def _of_level(self, image: Image, *enums: int) -> tuple[int, list[int]] | None:
-        """Return the target of a texture and numbers of glGetTexLevelParameter; None for an unknown kind."""
+        """Return the target of a texture and values of glGetTexLevelParameter; None for an unknown kind."""
         read = self.gl("glGetTexLevelParameteriv", _UINT, _INT, _UINT, ctypes.c_void_p)
         for target in [_CUBE_MAP] if image.face else _TARGETS:
 
@@ -353,5 +354,5 @@ def _numbers(read: Callable[..., None], target: int, *enums: int) -> list[int]:
 
 
 def fresh_framebuffer(context: gl.GlContext) -> gl.Framebuffer:
-    """Return a framebuffer of ours, to which an image can be attached."""
+    """Return a new framebuffer of ours, to which an image can be attached."""
     return context.framebuffer([context.target((1, 1), 4, "f1")])

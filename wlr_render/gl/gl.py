@@ -1,7 +1,7 @@
-"""OpenGL for drawing modules: opens or adopts contexts, render targets, reads textures, and has ModernGL's names.
+"""OpenGL for drawing modules: contexts to open or adopt, render targets, texture reads, and ModernGL's names.
 
-Every image on the GPU lies with its top row first, as in numpy, because the projection in `shaders/scene.vert` is
-turned over; so reading and writing textures here turns nothing.
+Every image on the GPU has its top row first, as in numpy, because the projection in `shaders/scene.vert` is flipped;
+so textures are read and written here without flips.
 """
 
 import contextlib
@@ -46,7 +46,7 @@ from wlr_render.gl.programs import set_uniforms as set_uniforms
 _FRAMEBUFFER = 0x8D40
 _VERSION = divmod(GLSL_VERSION // 10, 10)
 UNITS = 12
-"""Texture units that are used in a clean host's context."""
+"""Number of texture units that are used in a clean host's context."""
 
 
 def is_srgb(texture: Texture) -> bool:
@@ -62,8 +62,8 @@ def is_released(thing: Texture | TextureArray | Framebuffer) -> bool:
 def read_between_texels(texture: Texture) -> None:
     """Set bilinear filtering on a texture.
 
-    Most GPUs filter with weights of 8 bits, so that a sample errs by up to 1/512 of the step to the next texel, along
-    each axis; llvmpipe filters floats in float32.
+    Most GPUs filter with weights of 8 bits, so the error of a sample is up to 1/512 of the step to the next texel,
+    along each axis; llvmpipe filters floats in float32.
     """
     if texture.filter != (moderngl.LINEAR, moderngl.LINEAR):
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
@@ -97,13 +97,13 @@ class RenderTarget:
 
 
 class Pass:
-    """A full-screen shader that fills a target of ours; it is a compute shader where the context computes."""
+    """A full-screen shader that fills a target of ours; a compute shader where the context computes."""
 
     def __init__(self, context: GlContext, name: str, /, **constants: float) -> None:
-        """Compile a fragment shader of shaders/ that takes no derivatives."""
+        """Compile a fragment shader of shaders/ that uses no derivatives."""
         self._context, self._name, self._constants = context, name, constants
         self._programs: dict[bool, ComputeShader | Program] = {}
-        _ = self.program  # compiled now, so that no later frame waits for it
+        _ = self.program  # compiled now, so that no frame waits for it
 
     @property
     def program(self) -> ComputeShader | Program:
@@ -137,10 +137,10 @@ class RenderTargets:
         """Return the target of a name and size (width, height).
 
         Args:
-            name: of the target, which keeps its formats.
+            name: name of the target, which keeps its formats.
             size: (width, height) in pixels.
-            formats: components and dtype of each texture, as in `GlContext.target`.
-            with_depth: attach a depth texture.
+            formats: components and dtype of each texture, see `GlContext.target`.
+            with_depth: True to attach a depth texture.
         """
         target = self._targets.get(name)
         if target is None or target.framebuffer.size != size:
@@ -153,14 +153,14 @@ class RenderTargets:
 def open_context(backend: str = "auto") -> GlContext:
     """Open an OpenGL 4.1 context without a display; the context that was current stays current.
 
-    Do not fork the process afterwards: drivers hang. Spawned workers open their own.
+    Do not fork the process afterwards: drivers hang. A spawned worker must open another context.
 
     Args:
-        backend: "egl" (a GPU or Mesa's llvmpipe), "osmesa" (software), or "auto" for the first that opens,
-            beginning with what PYOPENGL_PLATFORM names.
+        backend: "egl" (a GPU or Mesa's llvmpipe), "osmesa" (software), or "auto" for the first that opens, beginning
+            with the platform in PYOPENGL_PLATFORM.
 
     Raises:
-        MissingGlError: none opens; the sentence says what to install.
+        MissingGlError: no context opens; the message names the packages to install.
     """
     reasons = []
     for name in _in_order() if backend == "auto" else (backend,):
@@ -176,7 +176,7 @@ def open_context(backend: str = "auto") -> GlContext:
             return GlContext(ctx, current, OwnContext(ctx, current, save))
         except NoCurrentContextError:
             reasons.append(f"{name}: another platform's context is current on this thread; release it, or adopt it")
-        except Exception as error:  # glcontext raises bare Exception, ctypes OSError, moderngl ValueError
+        except Exception as error:  # glcontext raises Exception, ctypes OSError, moderngl ValueError
             reasons.append(f"{name}: {error}")
     raise MissingGlError(
         f"No OpenGL 4.1 context opens ({'; '.join(reasons)}): install libegl1 and libgl1, or libosmesa6, "
@@ -187,18 +187,18 @@ def open_context(backend: str = "auto") -> GlContext:
 def adopt_context(context: moderngl.Context | None = None, host_is_clean: bool = False) -> GlContext:
     """Open a context that shares textures with another program's, e.g. a viewer's or pyrender's.
 
-    Nothing of the host's state is touched, whatever it is: each `drawing` block makes the new context current, and the
-    host's again.
+    The host's state is not touched: each `drawing` block makes the new context current, and the host's at the end.
 
     Args:
-        context: ModernGL's, which is made current; None for the one that is current on this thread, whoever made it.
-        host_is_clean: draw in the host's own context instead, where the driver cannot share. The host promises OpenGL's
-            default state when it enters a block, and relies on no binding afterwards (docs/realtime.md has the list);
-            only blocks that make objects, in the first frames, read errors.
+        context: ModernGL context, which is made current; None for the context that is current on this thread, whoever
+            made it.
+        host_is_clean: True to draw in the host's own context instead, for drivers that cannot share. The host
+            guarantees OpenGL's default state when it enters a block, and relies on no binding afterwards
+            (docs/realtime.md has the list); only blocks that make objects, in the first frames, read errors.
 
     Raises:
-        MissingGlError: none is current, it has been released, the driver does not share, or a clean host's version is
-            below 4.1; it stays as it was.
+        MissingGlError: no context is current, the context has been released, the driver does not share, or a clean
+            host's version is below 4.1; the host's context is unchanged.
     """
     if context is not None:
         if isinstance(context.mglo, moderngl.InvalidObject):
@@ -222,7 +222,7 @@ def _beside(host: CurrentContext, caller: moderngl.Context | None) -> GlContext:
         native, restore = binding.shared(), binding.save()
         try:
             ctx, current = _wrapped(native), CurrentContext((host.platform,))
-        except ValueError:  # ModernGL wants a newer OpenGL
+        except ValueError:  # ModernGL requires a newer OpenGL
             native.release()
             raise
         finally:
@@ -245,8 +245,8 @@ def _in_host(host: CurrentContext, caller: moderngl.Context | None) -> GlContext
         # image has samples or layers.
         host.function("glBindFramebuffer", *[ctypes.c_uint] * 2)(_FRAMEBUFFER, 0)
         ctx = moderngl.create_context(require=GLSL_VERSION, context=loader)
-        ErrorReader(host).take()  # errors of ModernGL's own start are not the host's
-    # ModernGL makes textures on its last unit unless told otherwise.
+        ErrorReader(host).take()  # ModernGL's initialisation may cause errors, which are not the host's
+    # By default, ModernGL makes textures on its last unit.
     ctx.default_texture_unit = UNITS - 1
     return GlContext(ctx, host, HostContext(ctx, host), caller, host_is_clean=True)
 
@@ -261,7 +261,7 @@ def _check_version(found: tuple[int, int]) -> None:
 
 @contextlib.contextmanager
 def _default_context_kept() -> Iterator[None]:
-    """Keep the caller's `moderngl.get_context()`."""
+    """Restore the caller's `moderngl.get_context()` at the end of a block."""
     store: Any = vars(moderngl)["_store"]
     before = store.default_context
     try:
@@ -282,7 +282,7 @@ def _open(**settings: Any) -> moderngl.Context:
 
 
 def _in_order() -> list[str]:
-    """Platforms to try, PyOpenGL's first, because two platforms in one process conflict."""
+    """Return the platforms to try, PyOpenGL's first, because two platforms in one process conflict."""
     return sorted(_OPENERS, key=lambda name: name != os.environ.get("PYOPENGL_PLATFORM"))
 
 

@@ -1,11 +1,11 @@
-"""Errors of OpenGL: their names, and how they are read."""
+"""Errors of OpenGL: their names, and a reader."""
 
 import ctypes
 
 from wlr_render.gl.native_contexts import CurrentContext
 
 _LARGEST_COUNT = 16
-"""Errors that are read at most: OpenGL holds one of each kind."""
+"""Largest number of errors that are read: OpenGL holds one of each kind."""
 _LOST = 0x0507
 _NAMES = {
     0x0500: "GL_INVALID_ENUM",
@@ -22,21 +22,21 @@ class GlError(RuntimeError):
 
 
 def error_name(error: int) -> str:
-    """OpenGL's name of an error."""
+    """Return OpenGL's name of an error."""
     return _NAMES.get(error, f"error {error:#x}")
 
 
 class ErrorReader:
-    """Reads the errors that an OpenGL context holds."""
+    """Reads and clears the errors of an OpenGL context."""
 
     def __init__(self, current: CurrentContext) -> None:
         self._get_error = current.function("glGetError", result=ctypes.c_uint)
 
     def take(self) -> int:
-        """Return the oldest error (0: none), after which OpenGL holds none.
+        """Return the oldest error (0: none), and clear all errors.
 
         Raises:
-            GlError: the context is lost: it reports errors for ever.
+            GlError: the context is lost, and reports errors forever.
         """
         first = error = self._get_error()
         for _ in range(_LARGEST_COUNT):

@@ -10,21 +10,21 @@ from wlr_render.gl import gl
 from wlr_render.gl.framebuffers import FramebufferQueries, TextureLayer, is_number
 
 _CACHED = 16
-"""Sources or targets that are remembered: four swap chains of four images."""
+"""Number of sources or targets that are kept: four swap chains of four images."""
 
 _Made = TypeVar("_Made")
 
 
 class ImageCache(Generic[_Made]):
-    """Cache of objects that were made for the caller's last few textures and framebuffers.
+    """Cache of objects made for the caller's last few textures and framebuffers.
 
     A ModernGL object keeps its images while it lives, and so does a `TextureLayer`. A number alone does not: another
-    object may have it in the next frame, so that OpenGL is asked again for each. Our framebuffers would keep the images
-    of deleted textures alive, and drawing to them would tell nobody: a dead object is never found.
+    object may have it in the next frame, so OpenGL is queried again each time. Our framebuffers would keep the images
+    of deleted textures alive, and drawing to them would fail silently: entries of dead objects are never returned.
     """
 
     def __init__(self, ask: FramebufferQueries) -> None:
-        """Prepare; `ask` knows which textures exist."""
+        """Prepare; `ask` queries OpenGL for the textures that exist."""
         self._ask = ask
         self._made: OrderedDict[tuple[object, ...], tuple[list[Any], _Made]] = OrderedDict()
 
@@ -33,7 +33,7 @@ class ImageCache(Generic[_Made]):
 
         Args:
             objects: ModernGL objects, layers, or numbers.
-            key: further numbers that matter.
+            key: further values that distinguish results.
             make: called with its previous result for the same numbers, which it may reuse; its exceptions are not
                 caught.
 
@@ -52,7 +52,7 @@ class ImageCache(Generic[_Made]):
             return found
         made = make(found)
         gone = [key for key, (kept, _) in self._made.items() if any(each and each() is None for each in kept)]
-        for other in gone:  # our framebuffers would keep the memory of released textures
+        for other in gone:  # our framebuffers would hold the memory of released textures
             del self._made[other]
         self._made[full_key] = [None if each is None else weakref.ref(each) for each in owners], made
         if len(self._made) > _CACHED:
@@ -60,7 +60,7 @@ class ImageCache(Generic[_Made]):
         return made
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all entries."""
         self._made.clear()
 
     def _exists(self, given: Any) -> bool:
@@ -80,7 +80,7 @@ def _check_alive(objects: list[Any]) -> None:
 
 
 def _owner(given: Any) -> Any:
-    """Return the object that lives as long as the given images; None where OpenGL has to be asked for these."""
+    """Return the object that lives as long as the given images; None if OpenGL must be queried for the images."""
     if isinstance(given, TextureLayer) and not is_number(given.texture):
         return given.texture
     is_asked = is_number(given) or (isinstance(given, gl.Framebuffer) and given.color_attachments is None)

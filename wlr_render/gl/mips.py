@@ -1,7 +1,7 @@
 """Mip levels of textures, filtered by our own shader.
 
-Drivers filter the levels of textures with odd sides as they like: NVIDIA's leave out the last row or column, so that
-everything drawn from such a level is displaced.
+Drivers differ in the filters for textures with odd sides: NVIDIA's leave out the last row or column, so that everything
+drawn from such a level is displaced.
 """
 
 import ctypes
@@ -22,19 +22,19 @@ class MipLevels:
         self._copy = context.function("glCopyTexSubImage2D", ctypes.c_uint, *[ctypes.c_int] * 7)
 
     def fill(self, texture: gl.Texture) -> None:
-        """Fill a texture's levels from its first, in linear light, and set trilinear filtering.
+        """Fill a texture's levels from level 0, in linear light, and set trilinear filtering.
 
         Call it in a drawing block.
 
         Args:
-            texture: of four components, "f1", "f2" or "srgb" as `GlContext.target` makes it; a shader reads light from
-                it, premultiplied with alpha.
+            texture: texture of four components, "f1", "f2" or "srgb", from `GlContext.target`; a shader reads light
+                from it, premultiplied with alpha.
         """
         gl.make_mip_levels(texture)
         self.refill(texture)
 
     def refill(self, texture: gl.Texture, holds_codes: bool = False) -> None:
-        """Fill levels that are there already; `holds_codes`: shaders read sRGB codes from the texture, not light."""
+        """Fill existing levels; with `holds_codes`, shaders read sRGB codes from the texture, not light."""
         sizes = level_sizes(texture.size)
         for level in range(1, len(sizes)):
             self._fill(texture, level, sizes, holds_codes)
@@ -72,12 +72,12 @@ class MipLevels:
 
 
 def level_sizes(size: tuple[int, int]) -> list[tuple[int, int]]:
-    """(width, height) of each mip level, down to one texel."""
+    """Return (width, height) of each mip level, down to one texel."""
     return [(max(1, size[0] >> level), max(1, size[1] >> level)) for level in range(max(size).bit_length())]
 
 
 def _uncut(sizes: list[tuple[int, int]], level: int) -> int:
-    """Return the coarsest finer level whose texels this one's cut nowhere; else level 0, of texels of one value."""
+    """Return the coarsest finer level whose texels this level's texels do not cut; else level 0."""
     fitting = (
         finer
         for finer in range(level)

@@ -1,4 +1,4 @@
-"""OpenGL contexts of the platform: the current one, bindings to a thread, and contexts that share textures."""
+"""Native OpenGL contexts: the current context, bindings to a thread, and contexts that share textures."""
 
 import contextlib
 import ctypes
@@ -12,14 +12,14 @@ _INT, _POINTER = ctypes.c_int, ctypes.c_void_p
 _EGL_DRAW, _EGL_READ, _EGL_CONFIG_ID, _EGL_NONE = 0x3059, 0x305A, 0x3028, 0x3038
 _EGL_MAJOR, _EGL_MINOR, _EGL_PROFILE, _EGL_CORE = 0x3098, 0x30FB, 0x30FD, 1
 _EGL_OPENGL = 0x30A2
-_EGL_LOST_AT_RESET = 0x31BD, 0x31BF  # the notification strategy of robust contexts
+_EGL_LOST_AT_RESET = 0x31BD, 0x31BF  # reset notification strategy of robust contexts
 _GLX_CONFIG_ID, _GLX_SCREEN = 0x8013, 0x800C
 _GLX_MAJOR, _GLX_MINOR, _GLX_PROFILE, _GLX_CORE = 0x2091, 0x2092, 0x9126, 1
 _RGBA, _UNSIGNED_BYTE, _OSMESA_TYPE = 0x1908, 0x1401, 0x23
 # OSMESA_FORMAT, OSMESA_PROFILE = OSMESA_CORE_PROFILE, OSMESA_CONTEXT_MAJOR_VERSION and _MINOR_VERSION.
 _OSMESA_ATTRIBUTES = (0x22, _RGBA, 0x33, 0x34, 0x36, 4, 0x37, 1, 0)
 
-# What the library is called, and its two functions. OSMesa comes last: within Mesa it takes EGL's context for its own.
+# Names of each library and of its two functions. OSMesa comes last: within Mesa it mistakes EGL's context for its own.
 _PLATFORMS = {
     "egl": (("EGL", "libEGL.so.1"), "eglGetCurrentContext", "eglGetProcAddress"),
     "glx": (("GL", "libGL.so.1"), "glXGetCurrentContext", "glXGetProcAddressARB"),
@@ -39,7 +39,7 @@ class CurrentContext:
         platform: "egl", "glx", "wgl" or "osmesa".
 
     Raises:
-        NoCurrentContextError: none is.
+        NoCurrentContextError: no context is current.
     """
 
     def __init__(self, platforms: Iterable[str] = _PLATFORMS) -> None:
@@ -60,7 +60,7 @@ class CurrentContext:
         return bool(self._native_current() == self._native)
 
     def version(self) -> tuple[int, int]:
-        """(major, minor); (0, 0) where it is older than 3.0."""
+        """Return (major, minor); (0, 0) if it is older than 3.0."""
         read = self.function("glGetIntegerv", ctypes.c_uint, ctypes.c_void_p)
         numbers = (ctypes.c_int * 2)()
         read(_MAJOR_VERSION, ctypes.byref(numbers))
@@ -74,7 +74,7 @@ class CurrentContext:
     def load_opengl_function(self, name: str) -> int:
         """Return the address of an OpenGL function, 0 if it is missing."""
         address = self._address_of(name.encode())
-        if not address and hasattr(self._library, name):  # Windows: the oldest functions are the library's own
+        if not address and hasattr(self._library, name):  # on Windows, the library itself exports the oldest functions
             address = ctypes.cast(getattr(self._library, name), ctypes.c_void_p).value
         return address or 0
 
@@ -90,7 +90,7 @@ class CurrentContext:
 
 @dataclass(frozen=True)
 class NativeContext:
-    """A context that this library opened, as ModernGL takes it."""
+    """A context that this library opened, in the form that ModernGL takes."""
 
     address_of: Callable[[bytes], int | None]
     make_current: Callable[[], object]
@@ -118,7 +118,7 @@ class Binding(Protocol):
     def save(self) -> Callable[[], None]:
         """Save the current context and its surfaces; the returned function makes them current again.
 
-        If no context is current now, or it has been destroyed by then, the returned function leaves none current.
+        If no context is current now, or it has been destroyed by then, no context is current afterwards.
         """
 
     def shared(self) -> NativeContext:
@@ -161,13 +161,13 @@ class EglBinding:
         query = _function(self._library, "eglQueryContext", _POINTER, _POINTER, _INT, _POINTER)
         number, config, count = _INT(), _POINTER(), _INT()
         query(display, host, _EGL_CONFIG_ID, ctypes.addressof(number))
-        if number.value:  # 0: of no configuration, and neither is ours
+        if number.value:  # 0: the context has no configuration, and ours needs none
             wanted = _numbers(_EGL_CONFIG_ID, number.value, _EGL_NONE)
             find(display, wanted, ctypes.addressof(config), 1, ctypes.addressof(count))
         create = _function(self._library, "eglCreateContext", *[_POINTER] * 4)
         version = _EGL_MAJOR, 4, _EGL_MINOR, 1, _EGL_PROFILE, _EGL_CORE
         with self._opengl_chosen():
-            # Contexts that share must agree on the effect of a reset of the GPU.
+            # Contexts that share must have the same GPU reset strategy.
             ours = create(display, config, host, _numbers(*version, _EGL_NONE)) or create(
                 display, config, host, _numbers(*version, *_EGL_LOST_AT_RESET, _EGL_NONE)
             )
@@ -181,7 +181,7 @@ class EglBinding:
 
     @contextlib.contextmanager
     def _opengl_chosen(self) -> Iterator[None]:
-        """Create contexts of OpenGL in a block: threads begin with OpenGL ES."""
+        """Select OpenGL for contexts that are created in a block: threads begin with OpenGL ES."""
         choose = _function(self._library, "eglBindAPI", ctypes.c_uint, result=ctypes.c_uint)
         before = _function(self._library, "eglQueryAPI", result=ctypes.c_uint)()
         choose(_EGL_OPENGL)
@@ -203,7 +203,7 @@ class EglBinding:
 
 
 class GlxBinding:
-    """GLX's `Binding`; as `EglBinding`."""
+    """GLX's `Binding`, like `EglBinding`."""
 
     def __init__(self) -> None:
         library = self._library = _needed_library("glx")
@@ -254,12 +254,12 @@ class GlxBinding:
 
 @contextlib.contextmanager
 def _x_errors_ignored(display: int | None) -> Iterator[None]:
-    """Ignore errors of X in a block: by default they end the program."""
+    """Ignore X errors in a block: by default they end the program."""
     x11 = ctypes.CDLL(ctypes.util.find_library("X11") or "libX11.so.6")
     handle = _function(x11, "XSetErrorHandler", _POINTER)
     wait = _function(x11, "XSync", _POINTER, _INT, result=_INT)
     ignore = ctypes.CFUNCTYPE(_INT, _POINTER, _POINTER)(lambda display, error: 0)
-    wait(display, 0)  # errors come with a delay: earlier ones are the host's
+    wait(display, 0)  # errors arrive with a delay: earlier errors are the host's
     before = handle(ctypes.cast(ignore, _POINTER))
     try:
         yield
@@ -269,12 +269,12 @@ def _x_errors_ignored(display: int | None) -> Iterator[None]:
 
 
 class OsMesaBinding:
-    """OSMesa's `Binding`; as `EglBinding`. Its contexts draw to framebuffer objects, the shared ones, too."""
+    """OSMesa's `Binding`, like `EglBinding`. All its contexts, even shared ones, draw to framebuffer objects."""
 
     def __init__(self) -> None:
         library = self._library = _needed_library("osmesa")
         egl = _library("egl")
-        # Within Mesa OSMesa takes EGL's current context for its own.
+        # Within Mesa, OSMesa mistakes EGL's current context for its own.
         self._other = _function(egl, "eglGetCurrentContext") if egl else lambda: None
         self._current = _function(library, "OSMesaGetCurrentContext")
         self._make_current = _function(library, "OSMesaMakeCurrent", _POINTER, _POINTER, *[_INT] * 3)
@@ -299,7 +299,7 @@ class OsMesaBinding:
         return self.opened(self._current())
 
     def opened(self, host: int | None = None) -> NativeContext:
-        """Return a new context, which shares with another one if it is given.
+        """Return a new context, which shares with `host` if it is given.
 
         Raises:
             OSError: the driver refuses.
@@ -317,7 +317,7 @@ class OsMesaBinding:
 
 
 BINDINGS: dict[str, Callable[[], Binding]] = {"egl": EglBinding, "glx": GlxBinding, "osmesa": OsMesaBinding}
-"""By platform; WGL has none."""
+"""Bindings by platform; WGL has no binding."""
 
 
 def _library(platform: str) -> ctypes.CDLL | None:
@@ -341,5 +341,5 @@ def _function(library: ctypes.CDLL, name: str, *argument_types: Any, result: Any
 
 
 def _numbers(*values: int) -> Any:
-    """Return a list of attributes as C takes it."""
+    """Return a list of attributes as a C array."""
     return (_INT * len(values))(*values)

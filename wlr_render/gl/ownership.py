@@ -1,4 +1,4 @@
-"""Ownership of an OpenGL context: when it is current, how it waits for a host's context, and cleanup."""
+"""Ownership of an OpenGL context: when it is current, synchronisation with a host's context, and cleanup."""
 
 import contextlib
 import ctypes
@@ -14,10 +14,10 @@ from wlr_render.gl.native_contexts import CurrentContext, EglBinding
 _UINT, _INT, _POINTER = ctypes.c_uint, ctypes.c_int, ctypes.c_void_p
 _READ, _DRAW = 0x8CA8, 0x8CA9  # GL_READ_FRAMEBUFFER, GL_DRAW_FRAMEBUFFER
 _BINDINGS = {_READ: 0x8CAA, _DRAW: 0x8CA6}
-_SWITCHES = 0x0C11, 0x8DB9  # GL_SCISSOR_TEST, GL_FRAMEBUFFER_SRGB, which change copies of framebuffers
+_SWITCHES = 0x0C11, 0x8DB9  # GL_SCISSOR_TEST, GL_FRAMEBUFFER_SRGB, which affect blits
 _COMMANDS_COMPLETE, _NO_TIMEOUT = 0x9117, 0xFFFFFFFFFFFFFFFF
 _WAIT_S = 10.0
-"""How long a call waits for the call of another thread."""
+"""Longest time that a call waits for another thread's call."""
 
 
 class ContextOwner(Protocol):
@@ -39,11 +39,11 @@ class ContextOwner(Protocol):
         """Return whether another ModernGL context wraps the host's native context."""
 
     def release(self, objects: Collection[Any]) -> bool:
-        """Destroy the given ModernGL objects and all garbage-collected ones; return whether that was possible."""
+        """Destroy the given and all garbage-collected ModernGL objects; return whether that was possible."""
 
 
 class Host:
-    """The context of another program, which shares its textures with a context of ours."""
+    """Another program's context, which shares textures with a context of ours."""
 
     def __init__(self, current: CurrentContext) -> None:
         """Wrap the context that is current."""
@@ -57,7 +57,7 @@ class Host:
 
     @contextlib.contextmanager
     def framebuffers_kept(self) -> Iterator[None]:
-        """Return a block with the switches of copies off that restores them and the framebuffers; it is current."""
+        """Turn off the capabilities that affect blits in a block; restore them and the framebuffers at its end."""
         number = _INT()
         bound = {}
         for target, enum in _BINDINGS.items():
@@ -75,10 +75,10 @@ class Host:
                 self._bind(target, name)
 
     def is_same_as(self, context: Any) -> bool:
-        """Return as `ContextOwner`, by making the other context current once; always False without EGL."""
+        """Return the same as `ContextOwner`, by making the other context current once; always False without EGL."""
         if self._current.platform != "egl":
             return False
-        # Another thread may have it current, so that a failed switch tells nothing for the next time.
+        # The context may be current on another thread, so a failed switch is not remembered.
         if context not in self._same and EglBinding().makes_current(context.__enter__, self._current):
             self._same[context] = True
         return context in self._same
@@ -87,8 +87,8 @@ class Host:
 class OwnContext:
     """A context that this library opened: each outermost block makes it current, and restores the previous one.
 
-    Between blocks it is current on no thread, so any thread may use it, one at a time. The drawing of a host's context
-    before a block is complete for the block, and the drawing of the block for the host.
+    Between blocks it is current on no thread, so any thread may use it, one at a time. A host's draws before a block
+    are complete in the block, and the block's draws are complete for the host afterwards.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class OwnContext:
         self.has_host = host is not None
         self._make_current: Callable[[], object] = ctx.__enter__
         self._in_use = threading.RLock()
-        self._restore: Callable[[], None] | None = None  # while the host's context was current before a block
+        self._restore: Callable[[], None] | None = None  # set if the host's context was current before the block
         self._fence = current.function("glFenceSync", _UINT, _UINT, result=_POINTER)
         self._wait = current.function("glWaitSync", _POINTER, _UINT, ctypes.c_uint64)
         self._drop = current.function("glDeleteSync", _POINTER)
@@ -109,7 +109,7 @@ class OwnContext:
         """Make the context current, and the previous one when the block ends; see `ContextOwner`.
 
         Raises:
-            BadInputError: another thread stays inside a block, or the context cannot be made current.
+            BadInputError: another thread does not leave its block, or the context cannot be made current.
         """
         with contextlib.ExitStack() as at_end:
             at_end.enter_context(self._waited_for())
@@ -143,7 +143,7 @@ class OwnContext:
         self._after_all_before(restore, is_host and self._current.is_current())
 
     def _after_all_before(self, switch: Callable[[], object], is_shared: bool) -> None:
-        """Switch to another context; if the two share, its commands then come after the commands of this one."""
+        """Switch to another context; if the two share, its commands run after the commands of this context."""
         fence = self._fence(_COMMANDS_COMPLETE, 0) if is_shared else None
         switch()
         if fence:
@@ -173,29 +173,29 @@ class OwnContext:
             self._after_all_before(self._make_current, True)
 
     def is_same_as(self, context: Any) -> bool:
-        """Return as `ContextOwner`; False without a host."""
+        """Return the same as `ContextOwner`; False without a host."""
         return self._host is not None and self._host.is_same_as(context)
 
     def release(self, objects: Collection[Any]) -> bool:
         """Destroy the context with all its objects; the context that was current stays current."""
         with self._waited_for():
             restore = self._save()
-            if self._host is not None:  # textures live as long as a context that shares them
+            if self._host is not None:  # shared textures would outlive this context
                 self._make_current()
             if self._host is not None and self._current.is_current():
                 free_dropped(self._ctx)
                 for one in list(objects):
                     one.release()
-            self._ctx.gc_mode = None  # objects that Python drops from now on are gone already
+            self._ctx.gc_mode = None  # objects that Python collects from now on no longer exist
             self._ctx.release()
             restore()
         return True
 
 
 class HostContext:
-    """A context of another program in which we draw, because its driver cannot share or its host asks for it.
+    """Another program's context in which we draw, because the driver cannot share or the host requests it.
 
-    The host promises OpenGL's default state before each block, and relies on no binding after it.
+    The host guarantees OpenGL's default state before each block, and relies on no binding after it.
     """
 
     has_host = False
@@ -211,7 +211,7 @@ class HostContext:
         """Check that the context is current; see `ContextOwner`.
 
         Raises:
-            BadInputError: it is not.
+            BadInputError: the context is not current.
         """
         if not self._current.is_current():
             raise BadInputError(
@@ -223,20 +223,20 @@ class HostContext:
         finally:
             self._depth -= 1
             if not self._depth:
-                self._set_depth_mask(1)  # ModernGL clears it for framebuffers without depth
+                self._set_depth_mask(1)  # ModernGL turns the mask off for framebuffers without depth
 
     def host(self) -> contextlib.AbstractContextManager[None]:
-        """Return a block, see `ContextOwner`."""
+        """Return an empty block, see `ContextOwner`."""
         return contextlib.nullcontext()
 
     def is_same_as(self, context: Any) -> bool:
-        """Return as `ContextOwner`."""
+        """Return the same as `ContextOwner`."""
         return self._host.is_same_as(context)
 
     def release(self, objects: Collection[Any]) -> bool:
         """Destroy the objects and keep the context; if it is not current, warn and destroy nothing."""
         if not self._current.is_current():
-            # No error: programs end with the context gone, and its objects with it, which nobody can ask about.
+            # Only a warning: at a program's end the context may be destroyed with its objects, which cannot be queried.
             warnings.warn(
                 "The adopted OpenGL context is not current on this thread, so that nothing was released: make it "
                 "current and call release() again, before the context is destroyed.",
@@ -244,16 +244,16 @@ class HostContext:
                 stacklevel=stacklevel_of_caller(),
             )
             return False
-        self._current.function("glUseProgram", _UINT)(0)  # a program in use outlives its deletion
+        self._current.function("glUseProgram", _UINT)(0)  # a program in use is not deleted
         free_dropped(self._ctx)
         for one in list(objects):
             one.release()
-        self._ctx.gc_mode = None  # objects that Python drops from now on are gone already
+        self._ctx.gc_mode = None  # objects that Python collects from now on no longer exist
         return True
 
 
 def free_dropped(ctx: Any) -> None:
-    """Like `Context.gc`, but skips objects that were already released."""
+    """Release dropped objects like `Context.gc`, but skip objects that were already released."""
     while ctx.objects:
         dropped = ctx.objects.popleft()
         if hasattr(dropped, "release"):

@@ -25,7 +25,7 @@ _INCLUDE = re.compile(r'^#include "(\w+\.glsl)"$', re.MULTILINE)
 
 
 def shader_source(name: str, constants: dict[str, float]) -> str:
-    """Text of a file in shaders/, with `#define NAME value` for each constant."""
+    """Return the text of a file in shaders/, with `#define NAME value` for each constant."""
     _, text = _text(name).split("\n", 1)
     defines = (f"#define {key} {value}" for key, value in constants.items())
     version = COMPUTE_VERSION if name.endswith(".comp") else GLSL_VERSION
@@ -36,7 +36,7 @@ _OUTPUT = re.compile(r"^layout\(location = (\d)\) out (float|u?int|[iu]?vec[234]
 
 
 def pass_source(name: str, group: int, constants: dict[str, float]) -> str:
-    """Text of a full-screen fragment shader as a compute shader, in groups of this side: its outputs are images."""
+    """Return a full-screen fragment shader as the text of a compute shader with images as outputs, in square groups."""
     _, text = shader_source(name, constants).split("\n", 1)
     images, stores = [], []
     for unit, kind, output in _OUTPUT.findall(text):
@@ -52,7 +52,7 @@ def pass_source(name: str, group: int, constants: dict[str, float]) -> str:
 
 
 def _with_includes(text: str) -> str:
-    """Put the text of each file that is included in place of its line, and of the files that it includes."""
+    """Replace each include line by the text of the file, recursively."""
     return _INCLUDE.sub(lambda found: _with_includes(_text(found[1])), text)
 
 
@@ -76,7 +76,7 @@ class _Uniforms:
         return found
 
     def set(self, program: Any, name: str, value: object, data: bytes | None = None) -> None:
-        """Set a uniform to a value, or to an array of `data`; one that the compiler found unused is skipped."""
+        """Set a uniform to a value, or to an array of `data`; skip a uniform that the compiler has removed."""
         new = value if data is None else data
         if name in self._written and self._written[name] == new:
             return
@@ -92,14 +92,14 @@ class _Uniforms:
 
 
 def set_uniforms(program: Any, **values: Any) -> None:
-    """Set uniforms, numbers or tuples of numbers, by name; skip uniforms that the compiler has optimised away."""
+    """Set uniforms, numbers or tuples of numbers, by name; skip uniforms that the compiler has removed."""
     uniforms = _Uniforms.of(program)
     for name, value in values.items():
         uniforms.set(program, name, value)
 
 
 def set_matrix(program: Any, name: str, matrix: NDArray[np.float64]) -> None:
-    """Set a square matrix, (n, n) as numpy writes it; OpenGL wants columns first."""
+    """Set a square matrix (n, n), rows first as in numpy; OpenGL expects columns first."""
     set_array(program, name, matrix.T)
 
 
@@ -111,11 +111,11 @@ def set_array(program: Any, name: str, rows: Sequence[NDArray[Any]] | NDArray[An
 def bind_textures(program: Any, **textures: Any) -> None:
     """Give each sampler of a program its texture, and each array of samplers its textures.
 
-    Call it in a drawing block and bind textures of these units in no other way: a texture that was bound to a unit
-    before is not bound again. Samplers of one texture share a unit.
+    Call it in a drawing block, and bind textures of these units in no other way: a texture that is already on its unit
+    is not bound again. Samplers of one texture share a unit.
     """
     uniforms = _Uniforms.of(program)
-    units: dict[int, int] = {}  # by the identity of a texture
+    units: dict[int, int] = {}  # unit by the identity of a texture
     of_units: list[Any] = []
     for name, given in textures.items():
         of_name = []
@@ -131,24 +131,24 @@ def bind_textures(program: Any, **textures: Any) -> None:
 
 
 def forget_textures(ctx: Any) -> None:
-    """Bind all textures again; call it when other software may have bound some."""
+    """Forget all bound textures, so that they are bound again; call it when other software may have bound textures."""
     _units_of(ctx).textures.clear()
 
 
 class TextureUnits:
     """Textures on the units of a ModernGL context, from unit 0: one OpenGL call binds all that change.
 
-    OpenGL before 4.4 binds them one by one.
+    Before OpenGL 4.4, they are bound one by one.
     """
 
     def __init__(self, ctx: Any, current: CurrentContext) -> None:
-        """Take a context that is current."""
+        """Prepare for a context that is current."""
         self.textures: list[Any] = []
         types = ctypes.c_uint, ctypes.c_int, ctypes.c_void_p
         self._bind = current.function("glBindTextures", *types) if ctx.version_code >= MULTI_BIND_VERSION else None
 
     def bind(self, textures: list[Any]) -> None:
-        """Put textures on the first units, and leave the others as they are."""
+        """Bind textures to the first units, and leave the other units unchanged."""
         bound = self.textures
         changed = [k for k, each in enumerate(textures) if k >= len(bound) or bound[k] is not each]
         if not changed:

@@ -20,7 +20,7 @@ _BUFFERS = 3  # buffers of a ring
 
 
 def rgb_of_rgba(rgba: NDArray[Any]) -> NDArray[Any]:
-    """Drop alpha: (height, width, 4) -> (height, width, 3). Faster than letting the driver read three of four."""
+    """Drop alpha, (height, width, 4) to (height, width, 3): faster than a read of three of four channels."""
     return np.asarray(cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB))
 
 
@@ -31,12 +31,12 @@ def read_rgb(texture: gl.Texture) -> NDArray[Any]:
 
 
 def colour_type(texture: gl.Texture) -> DTypeLike:
-    """Type of the numbers that a texture of colours is read as: uint8, uint16 (65535 is 1) or float16."""
+    """Return the type in which a colour texture is read: uint8, uint16 (65535 is 1) or float16."""
     return {"f1": "u1", "nu2": "u2", "f2": "f2"}[texture.dtype]
 
 
 class _Fence:
-    """A fence behind all commands so far; call its methods in a drawing block."""
+    """A fence after all commands so far; call its methods in a drawing block."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._wait = context.function(
@@ -56,17 +56,17 @@ class _Fence:
 
 
 class Readback:
-    """A picture on its way to the CPU; later frames do not change it."""
+    """A picture in transfer to the CPU; later frames do not change it."""
 
     def __init__(self, context: gl.GlContext, texture: gl.Texture, buffer: gl.Buffer) -> None:
-        """Start to copy an RGBA texture into a buffer of its size, which nothing else uses meanwhile."""
+        """Start copying an RGBA texture into a buffer of its size, which must not be used meanwhile."""
         self._context, self._shape = context, (texture.height, texture.width, 4)
         self._dtype: np.dtype[Any] = np.dtype(colour_type(texture))
         self._pixels: NDArray[Any] | None = None
         with context.drawing() as ctx:
             texture.read_into(buffer)
             self._buffer, self._fence = buffer, _Fence(context)
-            # The next drawing block frees the objects of this list, as it does the textures that Python drops.
+            # The next drawing block frees the objects of this list, like garbage-collected textures.
             weakref.finalize(self, ctx.objects.append, self._fence)
 
     def is_ready(self) -> bool:
@@ -77,7 +77,7 @@ class Readback:
             return self._fence.is_passed(0)
 
     def result(self) -> NDArray[Any]:
-        """Return the picture (height, width, 3), as `ComposedFrame.read` does; waits for the GPU if it is not ready.
+        """Return the picture (height, width, 3), like `ComposedFrame.read`; wait for the GPU if it is not ready.
 
         Raises:
             BadInputError: the context has been released.
@@ -95,14 +95,14 @@ class Readback:
 
 
 class ReadbackRing:
-    """Three buffers for the pictures of one source: one is copied into while two wait to be read."""
+    """Three buffers for the pictures of one source: one is being filled while two wait to be read."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context = context
         self._used = deque[tuple[gl.Buffer, weakref.ref[Readback]]](maxlen=_BUFFERS)
 
     def start(self, texture: gl.Texture) -> Readback:
-        """Start to copy an RGBA texture; this waits only if the third picture before is still unread, for that one."""
+        """Start copying an RGBA texture; wait only for the third picture before, if it is still unread."""
         buffer, size_bytes = None, np.dtype(colour_type(texture)).itemsize * 4 * texture.width * texture.height
         with self._context.drawing() as ctx:
             if len(self._used) == _BUFFERS:
@@ -120,8 +120,8 @@ def read_into(context: gl.GlContext, texture: gl.Texture, target: Any) -> None:
     """Copy an RGBA texture into a numpy array, or without a wait into a ModernGL buffer; call it in a drawing block.
 
     Args:
-        context: of the texture.
-        texture: to copy.
+        context: context of the texture.
+        texture: texture to copy.
         target: (height, width, 4) of `colour_type`, contiguous, or a buffer of the context with as many bytes.
 
     Raises:

@@ -1,1 +1,1 @@
-"""Files: bounded reading of untrusted files, TOML and JSON tables, text tables, atomic writing, finished files."""
+"""Files: bounded reading of untrusted files, TOML and JSON tables, text tables, atomic writing, ledgers."""

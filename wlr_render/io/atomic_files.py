@@ -79,7 +79,7 @@ def named_or_path(folder: str, spec: str | Path) -> Path:
     names = shipped_names(folder, ".toml")
     if str(spec) in names:
         return resource(folder, f"{spec}.toml")
-    if os.path.isdir(path):  # unlike Path.is_dir, without an exception for a name that no file can have
+    if os.path.isdir(path):  # unlike Path.is_dir, accepts names that no file can have
         model = path / "model.json"
         raise BadInputError(f"{path}: is a folder; name {model if model.is_file() else 'a file in it'}.")
     if path.suffix == ".toml" or len(path.parts) > 1 or os.path.isfile(path):
@@ -107,7 +107,7 @@ def output_folder(path: str | Path) -> Path:
     return folder
 
 
-@functools.cache  # once per process: a folder may contain many files
+@functools.cache  # once per process, because a folder may contain many files
 def remove_abandoned(folder: Path) -> None:
     """Remove the temporary files of killed runs."""
     for path in folder.glob(f"{_PART}*"):
@@ -152,7 +152,7 @@ def locked_folder(path: str | Path, run: str) -> Iterator[None]:
             os.write(handle, f"{run} (process {os.getpid()})".encode())
         yield
     finally:
-        with contextlib.suppress(OSError):  # the folder may have been removed meanwhile
+        with contextlib.suppress(OSError):  # the folder may have been removed in the meantime
             lock.unlink()
         os.close(handle)
         with contextlib.suppress(OSError):
@@ -176,14 +176,14 @@ def _locked(lock: Path) -> int:
             pass  # without locks the user must separate the runs
         if os.fstat(handle).st_nlink:
             return handle
-        os.close(handle)  # an earlier run removed the file after it was opened here
+        os.close(handle)  # another run removed the file after it was opened here
 
 
 @contextlib.contextmanager
 def written_whole(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path, which is renamed to `path` if the `with` block ends without an error.
 
-    Meant for encoders that need a path, such as video encoders; use `write_bytes` for everything else.
+    Use it for encoders that need a path, such as video encoders, and `write_bytes` for everything else.
 
     Raises:
         BadInputError: the folder cannot be written, or the file cannot be flushed.

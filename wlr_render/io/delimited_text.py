@@ -15,7 +15,7 @@ STATED_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
 def separator_of(row: str) -> str | None:
     """Return the separator of a row or header: a semicolon, a tab or a comma; None for blanks, or for a single cell.
 
-    A comma is a decimal comma where it follows a digit and blanks separate the numbers.
+    A comma after a digit is a decimal comma if blanks separate the numbers.
     """
     bare = re.sub(r'"[^"]*"', "0", row)
     words = bare.split()
@@ -32,7 +32,7 @@ def separator_of(row: str) -> str | None:
 def cells_of(row: str, separator: str | None) -> tuple[str, ...]:
     """Return the cells of a row, stripped and without quotes; decimal commas become points.
 
-    A row whose quotes the format does not allow is split at every separator.
+    A row with invalid quotes is split at every separator.
     """
     cells = row.split(separator)
     if separator is not None and '"' in row:

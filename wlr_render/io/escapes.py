@@ -43,7 +43,7 @@ def html_code(text: str) -> str:
 
 
 def html_text(value: object) -> object:
-    """Escape the formatting characters that browsers obey, in a value of a page's template, before HTML escaping."""
+    """Escape, in a template value and before HTML escaping, the formatting characters that browsers obey."""
     return printable_lines(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 
@@ -57,7 +57,7 @@ def plotly_text(value: Any, key: str = "") -> Any:
 
 
 def plain_figure(figure: "Figure") -> None:
-    """Turn off formulas in a matplotlib figure: "$" is drawn as it is, except in the powers at ticks."""
+    """Turn off formulas in a matplotlib figure: "$" is drawn literally, except in powers at ticks."""
     from matplotlib.text import Text
 
     axes = [axis for each in figure.axes for axis in (each.xaxis, each.yaxis)]

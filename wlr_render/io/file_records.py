@@ -1,4 +1,4 @@
-"""Records: dataclasses whose annotations state how each attribute stands in a file.
+"""Records: dataclasses whose annotations state how each attribute is stored in a file.
 
     @dataclass(frozen=True)
     class StageAxis:
@@ -6,9 +6,10 @@
         sigma: Annotated[float | None, Key("sigma_deg", DEGREES, above=0, most=180)] = None
         pivot: Annotated[FloatArray | None, Key("pivot_mm", POINT, shape=(3,), most=1e4)] = None
 
-`read_record` and `record_keys` follow these statements, so that a key with its unit, bounds, default and frame is
-stated once. A number, text, flag or path without a `Key` stands under its own name; what else has none stands
-elsewhere. An attribute with a default may be left out of a file, and is left out in writing where it equals it.
+`read_record` and `record_keys` follow these annotations, so that a key with its unit, bounds, default and frame is
+stated once. A number, text, flag or path without a `Key` is stored under its own name; other attributes without one
+are stored elsewhere. An attribute with a default may be omitted from a file, and is omitted in writing if it equals the
+default.
 """
 
 import dataclasses
@@ -29,7 +30,7 @@ from wlr_render.io.toml_files import Table
 
 Array = NDArray[np.float64]
 RecordType = TypeVar("RecordType")
-_MOST_RECORDS = 100  # most records of an attribute
+_MOST_RECORDS = 100  # most records in an attribute
 
 MM = 1e-3
 """One millimetre in metres."""
@@ -42,7 +43,7 @@ class Quantity:
     """A kind of quantity, defined by its conversion between files and this library.
 
     Attributes:
-        of_file: (value of the file, device_from_file (3, 3)) -> value of the attribute.
+        of_file: (value in the file, device_from_file (3, 3)) -> value of the attribute.
         to_file: the inverse conversion.
     """
 
@@ -80,7 +81,7 @@ class Rule:
 
 @dataclass(frozen=True)
 class Place:
-    """The place of a file: its folder, and the rotation (3, 3) from its axes to the device frame's."""
+    """The place of a file: its folder, and the rotation (3, 3) from its axes to the device frame."""
 
     folder: Path = Path()
     axes: Array = dataclasses.field(default_factory=functools.partial(np.eye, 3))
@@ -88,19 +89,19 @@ class Place:
 
 @dataclass(frozen=True)
 class Key:
-    """An attribute under one key.
+    """An attribute that is stored under one key.
 
     Attributes:
         name: the key; by default the name of the attribute.
         quantity: unit and frame.
         shape: shape of an array: n numbers, or n lists of m numbers; -1 for any n.
-        least: smallest number in the unit of the file; None: 0 of whole numbers, else -`most`.
-        most: largest number; None: 10^9 of whole numbers, 10^18 of others.
-        above: number that all must exceed.
-        digits: decimals in writing; None for all.
-        choices: texts that are allowed; by default the values of a Literal annotation.
+        least: smallest number in the unit of the file; None: 0 for whole numbers, else -`most`.
+        most: largest number; None: 10^9 for whole numbers, 10^18 for others.
+        above: number that all values must exceed.
+        digits: number of decimals written; None for all.
+        choices: allowed texts; by default the values of a Literal annotation.
         rule: a further constraint.
-        always: whether the default is written as well.
+        always: whether the default is also written.
         type: type of the value in the file, `list` for texts; by default the annotation, without None.
     """
 
@@ -186,13 +187,13 @@ def _as_tuple(items: Any, table: Table, name: str, bounds: Mapping[str, Any]) ->
 
 @dataclass(frozen=True)
 class Keys:
-    """A value that stands under several keys.
+    """An attribute that is stored under several keys.
 
     Attributes:
         parts: the keys.
         join: (value of each part) -> value.
         split: value -> value of each part; the inverse of `join`.
-        absent: value of each part that may be left out of a file, and is left out in writing; None if none may.
+        absent: value of each part that may be omitted from a file, and is omitted in writing; None if no part may be.
     """
 
     parts: tuple[Key, ...]
@@ -255,7 +256,7 @@ def _form_of(name: str, hint: Any) -> Key | Keys | None:
 
 
 def _is_plain(kind: Any) -> bool:
-    """Return whether values of a type stand in a file as they are."""
+    """Return whether values of a type are stored in a file unchanged."""
     items = typing.get_args(kind) if typing.get_origin(kind) is tuple else (kind,)
     return all(
         item in (bool, int, float, str, Path, ...) or typing.get_origin(item) in (Literal, tuple) for item in items
@@ -303,7 +304,7 @@ def record_keys(record: Any, place: Place | None = None, defaults: bool = False)
 
 @dataclass(frozen=True)
 class Records(Key):
-    """A tuple of records, each a table of an array of tables."""
+    """A tuple of records, stored as an array of tables."""
 
     record: Any = None
 

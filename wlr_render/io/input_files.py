@@ -1,4 +1,4 @@
-"""Reading of untrusted files: every reader of the package opens its file here.
+"""Reading of untrusted files: all readers of the package open their files here.
 
 Only regular files of limited size are read, a reference to another file stays inside its folder, and any exception of a
 parser becomes one sentence. `LIMITS` has the sizes.
@@ -111,7 +111,7 @@ def as_bad_input(path: str | Path, kind: str, remedy: str = "write it again") ->
     """Convert any exception of the parser in a `with` block to a `BadInputError`.
 
     Args:
-        path: path of the file, or a place in it.
+        path: path of the file, or a place in the file.
         kind: expected content, e.g. "a mesh".
         remedy: remedy, without a full stop.
     """
@@ -170,7 +170,7 @@ def shown(value: object, quoted: bool = True) -> str:
         return f"an array of shape {value.shape} and type {value.dtype}"
     try:
         text = _short.repr(value).replace("\n", " ")
-    except (ValueError, RecursionError):  # an integer of more than 4300 digits; deep nesting
+    except (ValueError, RecursionError):  # an integer of more than 4300 digits, or deep nesting
         return f"a large {type(value).__name__}"
     return text if quoted else text[1:-1]
 
@@ -187,13 +187,13 @@ def read_bytes(path: str | Path, at_most: int, remedy: str = "name another file"
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
                 raise BadInputError(f"{path}: is a pipe or a device, not a regular file; {remedy}.")
-            # A file that grows, or lies on a file system without sizes, may hold more than it states.
+            # A growing file, or one on a file system without sizes, may be longer than its stated size.
             content = file.read(at_most + 1) if status.st_size <= at_most else None
     except IsADirectoryError as error:
         raise BadInputError(f"{path}: is a folder; {remedy}.") from error
     except FileNotFoundError as error:
         raise BadInputError(f"{path}: there is no such file; {remedy}.") from error
-    except (OSError, ValueError) as error:  # a ValueError if the name has a null character
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
         if isinstance(error, BadInputError):
             raise
         raise BadInputError(f"{path}: cannot be read ({reason_of(error)}); {remedy}.") from error
@@ -215,7 +215,7 @@ def read_text(path: str | Path, kind: str, at_most: int = LIMITS.text_bytes, rem
     """Read a regular file of UTF-8 text, with or without byte order mark.
 
     Raises:
-        BadInputError: as `read_bytes`, or the file is not text; the sentence says that it is not `kind`.
+        BadInputError: as `read_bytes`, or the file is not text; the message says that it is not `kind`.
     """
     return decode_text(path, read_bytes(path, at_most, remedy), kind, remedy)
 
@@ -269,12 +269,12 @@ def read_image(path: str | Path, flags: int, remedy: str = "name another picture
     """Read a picture as OpenCV stores it, (height, width) or (height, width, channels) in BGR order.
 
     Args:
-        path: of any format that OpenCV reads.
+        path: picture of any format that OpenCV reads.
         flags: flags of `cv2.imdecode`.
         remedy: remedy, without a full stop.
 
     Raises:
-        BadInputError: as `read_bytes`, or the file is not a picture or has more pixels than `LIMITS` has.
+        BadInputError: as `read_bytes`, or the file is not a picture or has more pixels than `LIMITS` allows.
     """
     content = read_bytes(path, LIMITS.picture_bytes, remedy)
     return decode_image(path, content, flags, remedy)
@@ -293,7 +293,7 @@ def decode_image(path: str | Path, content: bytes, flags: int, remedy: str = "na
 
 
 def require_picture(where: str | Path, content: bytes, remedy: str = "store the picture again") -> None:
-    """Refuse a file that is not a picture, or has more pixels than `LIMITS` allows; decodes nothing."""
+    """Refuse a file that is not a picture, or has more pixels than `LIMITS` allows, without decoding it."""
     with as_bad_input(where, "a picture", remedy):
         require_pixels(where, _stated_size(content), remedy)
 
@@ -376,7 +376,7 @@ def require_length(where: str, length: ArrayLike, at_most: float, unit: str = "m
 
 
 def require_eye_box(where: str, size: ArrayLike, unit: str = "m") -> None:
-    """Refuse an eye box with sides (3,), in m or mm, that are negative or larger than `LIMITS` has."""
+    """Refuse an eye box with sides (3,), in m or mm, that are negative or larger than `LIMITS` allows."""
     sides = np.asarray(size, dtype=np.float64)
     require_length(where, sides, LIMITS.eye_box_m * (1.0 if unit == "m" else 1e3), unit)
     if np.any(sides < 0):

@@ -1,7 +1,8 @@
-"""The ledger of a job's finished files, so that an interrupted job continues and no job replaces another one's files.
+"""The ledger of a job's finished files: an interrupted job continues, and no job replaces another job's files.
 
 The first line is the recipe: the options that change the files, and the input files by their hashes. A line for each
-finished file follows, with its length, its SHA-256 and facts for later runs; the last line of a file counts.
+finished file follows, with its length, its SHA-256 and facts for later runs; of several lines for a file, the last one
+is valid.
 """
 
 import contextlib
@@ -25,7 +26,7 @@ Signature = tuple[int, str]
 _REMEDY = "choose another folder or empty it"
 _INPUT = "input "
 """Start of the keys of input files in a recipe."""
-_LINE_BYTES = 200  # length of a line without facts, about
+_LINE_BYTES = 200  # approximate length of a line without facts
 
 
 class Kept:
@@ -33,10 +34,10 @@ class Kept:
 
     Args:
         folder: folder of the ledger; the files are in it or below.
-        recipe: what determines the files, as `recipe_of` returns it.
-        planned: files that the job writes, with the facts known before: they must not exist without a ledger.
-        later_bytes: greatest length of the facts that the job adds to each file that has facts.
-        replaces: whether files of another recipe of the same job are replaced, rather than refused.
+        recipe: options and inputs that determine the files, as `recipe_of` returns them.
+        planned: files that the job writes, with the facts known before; they must not exist without a ledger.
+        later_bytes: largest length of the facts that the job adds to each file that has facts.
+        replaces: whether files of another recipe of the same job are replaced instead of refused.
 
     Raises:
         BadInputError: the ledger cannot be read or would become too long, or the folder has files of other options.
@@ -80,16 +81,16 @@ class Kept:
         return [path for path in paths if not _is_whole(path, self._line(path))]
 
     def changed(self, paths: Iterable[Path]) -> list[Path]:
-        """Return the files that are in the ledger and exist, but do not match it."""
+        """Return existing files that are in the ledger but do not match it."""
         return [path for path in self.unfinished(paths) if self._line(path) and os.path.lexists(path)]
 
     def facts(self, path: Path) -> Facts:
-        """Return the facts of a file, listed by this run or an earlier one; none of a file that is not listed."""
+        """Return the facts of a file, listed by this run or an earlier one; empty for a file that is not listed."""
         facts: Facts = self._line(path).get("facts", {})
         return facts
 
     def begin(self) -> None:
-        """State the recipe: files that a killed run does not list are then no other job's.
+        """Write the recipe, so that files that a killed run does not list are known to be this job's.
 
         Raises:
             BadInputError: the ledger cannot be written.
@@ -106,12 +107,12 @@ class Kept:
         added = {name: {"file": name, "bytes": length, "sha256": sha256} for name, length, sha256 in signed}
         if facts:
             added[signed[-1][0]]["facts"] = facts
-        # A line cut off by a killed run or a full disk must not spoil the next one.
+        # A line that a killed run or a full disk has cut off must not spoil the next one.
         content = ("\n" * self._is_torn + self._text(added.values(), with_recipe=not self._is_begun)).encode()
         with disk_errors(self._path), open(self._path, "ab", buffering=0, opener=_open_no_detour) as file:
             self._is_torn = True
             while content:
-                content = content[file.write(content) :]  # a full disk may take only a part
+                content = content[file.write(content) :]  # a full disk may accept only a part
             os.fsync(file.fileno())
         self._is_torn, self._is_begun = False, True
         self._listed |= added
@@ -120,7 +121,7 @@ class Kept:
         """Remove the files of the recipes that this one replaces, except files that it has written itself.
 
         Returns:
-            The number of removed files, and the files that somebody has changed since, which are left.
+            The number of removed files, and the files that were changed since, which are kept.
 
         Raises:
             BadInputError: the ledger cannot be written.
@@ -156,7 +157,7 @@ def recipe_of(job: str, options: Mapping[str, Any], inputs: Mapping[str, str]) -
     Args:
         job: name of the job.
         options: value of each option that changes the files; `file_of` for a file that is compared by content.
-        inputs: SHA-256 of every file that was read, by path, in the order of reading: files that are exchanged differ.
+        inputs: SHA-256 of every file that was read, by path, in the order of reading: exchanged files differ.
     """
     first = {sha256: path for path, sha256 in reversed(list(inputs.items()))}  # a file may be read by two paths
     by_content = [file_of(first[sha256], sha256) for sha256 in dict.fromkeys(inputs.values())]
@@ -165,7 +166,7 @@ def recipe_of(job: str, options: Mapping[str, Any], inputs: Mapping[str, str]) -
 
 
 def file_of(path: object, sha256: str = "") -> dict[str, str]:
-    """Return a file for a recipe: its content counts if its hash is given, else only that a file is given."""
+    """Return a file for a recipe: compared by content if its hash is given, else only by presence."""
     return {"file": str(path), "sha256": sha256}
 
 
@@ -194,7 +195,7 @@ def _difference(was: Recipe, now: Recipe) -> str:
 
 
 def differences(was: Recipe, now: Recipe) -> dict[str, tuple[object, object]]:
-    """Return the old and the new value of all keys by which two recipes differ; None for a missing key."""
+    """Return the old and the new value of all keys in which two recipes differ; None for a missing key."""
     both = {key: (was.get(key), now.get(key)) for key in dict.fromkeys([*now, *was])}
     return {key: (old, new) for key, (old, new) in both.items() if _content(old) != _content(new)}
 
@@ -237,7 +238,7 @@ def _open_no_detour(path: str, flags: int) -> int:
 
 
 def _lines(content: bytes) -> Iterator[dict[str, Any]]:
-    """Yield the lines that are whole: the file of a line that is cut off or damaged counts as unfinished."""
+    """Yield the complete lines: the file of a truncated or damaged line counts as unfinished."""
     for text in content.splitlines():
         with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             line = json.loads(text)

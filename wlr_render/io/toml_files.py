@@ -140,7 +140,7 @@ class Table:
         return np.array([self._number(item, key, **bounds) for item in value])
 
     def row(self, key: str, size: int) -> list[float]:
-        """Return `size` finite numbers like `vector`, but faster and as a list; a model file has a thousand of them."""
+        """Return `size` finite numbers like `vector`, but faster and as a list; a model file has a thousand rows."""
         value = self._list(key, size)
         kinds = set(map(type, value))
         if (kinds == {float} and math.hypot(*value) < _LARGEST) or (kinds == {int} and max(map(abs, value)) < _LARGEST):
@@ -174,7 +174,7 @@ class Table:
         """Return a list of lists of whole numbers."""
         value, (rows, columns) = self._get(key), shape
         whole = isinstance(value, list) and len(value) == rows
-        # Types row by row: in a large table, faster than number by number.
+        # Check types row by row, which is faster in a large table than number by number.
         if not whole or not all(
             isinstance(r, list) and len(r) == columns and set(map(type, r)) == {int} for r in value
         ):
@@ -218,7 +218,7 @@ class Table:
         return list(self._content)
 
     def check_head(self, format_name: str, newest: int, oldest: int = 0, remedy: str = "write it again") -> int:
-        """Check `format` and `version`, which is `newest` or from `oldest` to `newest`; returns the version."""
+        """Check `format`, and `version` (`newest`, or from `oldest` to `newest`); return the version."""
         self.text("format", choices=[format_name])
         version, oldest = self.number("version"), oldest or newest
         if version not in range(oldest, newest + 1):
@@ -244,8 +244,8 @@ def read_json(path: str | Path, kind: str, remedy: str = "write it again") -> Ta
     """Read a JSON file as a `Table`.
 
     Raises:
-        BadInputError: the file cannot be read, is not a JSON object, or has a key twice; the sentence says that it is
-            not `kind`, and the remedy.
+        BadInputError: the file cannot be read, is not a JSON object, or has a key twice; the message says that it is
+            not `kind`, and states the remedy.
     """
     content = parse_json(path, read_text(path, kind, LIMITS.data_bytes, remedy), kind, remedy)
     return Table(content, str(path))
@@ -272,7 +272,7 @@ def read_toml(path: str | Path) -> Table:
     """Read a TOML file as a `Table`.
 
     Raises:
-        BadInputError: the file cannot be read or is not TOML; the sentence has the line.
+        BadInputError: the file cannot be read or is not TOML; the message states the line.
     """
     text = read_text(path, "a TOML file")
     with as_bad_input(path, "a TOML file", "correct it"):
@@ -297,7 +297,7 @@ def write_toml(path: str | Path, table: Mapping[str, Any], comment: str = "") ->
 
 
 def stated(**keys: Any) -> dict[str, Any]:
-    """Return the keys, except keys whose value is None."""
+    """Return the given keys whose value is not None."""
     return {key: value for key, value in keys.items() if value is not None}
 
 
@@ -317,7 +317,7 @@ def _on_one_line(numbers: re.Match[str]) -> str:
 
 
 def _toml_value(value: Any, where: str) -> Any:
-    """Convert a value for `tomli_w`; refuses values that a `Table` refuses."""
+    """Convert a value for `tomli_w`; refuse values that a `Table` refuses."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):

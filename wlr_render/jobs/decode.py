@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _ACCEPTED, _DARK = "#e4ebdd", "#202020"
 _BLOCK_PX = 4  # side of a block, in camera pixels, that one point of the residual picture averages
-_RANGE_PX = 0.75  # residual at the ends of its colour scale, panel pixels
+_RANGE_PX = 0.75  # residual, in panel pixels, at the ends of the colour scale
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
 def decode_and_assess(
     codes: CodePhotographs, out: Path, progress: Progress, lenses: Lenses = NO_LENSES
 ) -> tuple[Report, Decoded, PlaneSurvey]:
-    """Decode photographs, and write decoded.npz and pictures; flat surfaces are fitted with `lenses` undistorted.
+    """Decode photographs, and write decoded.npz and pictures; `lenses` undistort pixels to fit flat surfaces.
 
     Raises:
         BadInputError: the photographs do not decode, or the folder cannot be written.

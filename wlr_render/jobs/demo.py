@@ -1,4 +1,4 @@
-"""The main job: draw one scene four ways for one headset, look through its true optics, and measure arcminutes.
+"""The main job: draw one scene four ways for one headset, look through its true optics, measure the misalignment.
 
     naive        the panel as a flat picture in space (a linear map), without refraction in the combiner
     static       the best map for one viewpoint, used at all viewpoints
@@ -251,7 +251,7 @@ def simulated_captures(truth: Eye, seed: int) -> Captures:
 def _views(truth: Eye, fit: Calibration, painters: dict[str, Painter], places: FloatArray) -> Iterator[_View]:
     pixel = np.floor(truth.display.panel.grid(*_GRID)) + 0.5
     planar = _planar_of(painters)
-    # The error of raster frames was measured with the warp grid's, whose bound would count it twice.
+    # The measured error of raster frames includes the warp grid's; adding its bound would count it twice.
     drawing = Drawing(raster_arcmin=BudgetOptions.raster_arcmin if planar == METHODS[2] else 0.0)
     sizes = ErrorSizes(drawing=drawing, truncation=Truncation.from_report(fit.model().report))
     for index, viewpoint in enumerate(places):

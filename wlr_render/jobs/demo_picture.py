@@ -28,7 +28,7 @@ _NOTE = (
 
 @dataclass(frozen=True, eq=False)
 class Panorama:
-    """View of the eye in one state of the display: overview, close-up, and the line under them."""
+    """View of the eye in one state of the display: overview, close-up and caption."""
 
     title: str
     overview: NDArray[np.uint8]
@@ -37,7 +37,7 @@ class Panorama:
 
 
 def misalignment_caption(s: Summary, prediction: tuple[float, float] | None = None) -> str:
-    """Return the figures under a panorama; `prediction` is the predicted and the true rms."""
+    """Return the caption of a panorama; `prediction` is the predicted and the true rms."""
     median, p95, maximum = (cell_text(x) for x in (s.median, s.p95, s.maximum))
     lines = [f"off by {median}' median", f"{p95}' at 95 %, {maximum}' at most"]
     if prediction is not None:

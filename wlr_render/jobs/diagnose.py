@@ -174,7 +174,7 @@ def _check_enough_readings(session: Session) -> None:
         )
 
 
-_FEWEST_READINGS = 4  # readings of two values each; a camera pose has six parameters
+_FEWEST_READINGS = 4  # fewest points of a capture, with two values each; a camera pose has six parameters
 
 
 def _not_considered(options: DiagnoseOptions) -> list[str]:

@@ -58,7 +58,7 @@ _NO_RAY, _OUTSIDE = "have no ray", "lie outside the source picture"
 
 @job
 def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Write the missing maps of `options.out`, and their page; files of another export there are removed.
+    """Write the maps missing from `options.out`, and their page; remove the files of another export there.
 
     Raises:
         BadInputError: faulty files, a pupil outside the eye box, or content that the format does not support.
@@ -207,7 +207,7 @@ def _view_from_centre(options: ExportOptions, channels: EyeChannels, origin: Ori
 
 
 def _predictors(options: ExportOptions, channels: EyeChannels) -> tuple[Predictor, ...]:
-    """Return functions that predict the model errors of each channel; none unless all models have a covariance."""
+    """Return functions that predict the model errors of each channel; empty unless all models have a covariance."""
     if not all(map(has_covariance, channels)):
         return ()
     reports = [load_eye_model(path, channels[0].eye).report for path in _headset_files(options).values()]

@@ -50,14 +50,14 @@ from wlr_render.warp.view import write_view
 from wlr_render.work.workers import LOCAL, as_finished, usable_cores
 
 _Write = Callable[[], object]
-_FRAMES_OF_A_BLOCK = 8  # most frames per block; an interrupted run may lose as many with each worker
-_UNWRITTEN = 7  # most frames whose files threads write; with all layers and maps one of 1440 x 1600 px takes 0.2 GB
-_BLOCKS = 64  # fewest blocks if there are as many frames; with fewer, workers wait for the last block
+_FRAMES_OF_A_BLOCK = 8  # most frames per block; an interrupted run may lose this many per worker
+_UNWRITTEN = 7  # most frames waiting to be written; one of 1440 x 1600 px with all layers and maps takes 0.2 GB
+_BLOCKS = 64  # fewest blocks, given enough frames; with fewer blocks, workers wait for the last one
 
 
 @dataclass(frozen=True, eq=False)
 class OpenedFiles:
-    """Files of a job, opened.
+    """Opened files of a job.
 
     Attributes:
         channels: mappings for drawing, by eye.

@@ -19,7 +19,7 @@ _LISTING = ("render", "export", "simulate", "pattern")
 
 
 def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
-    """Lock a job's output folder, `options.out`, and write the job's report there; a decorator.
+    """Decorate a job: lock its output folder, `options.out`, and write its report there.
 
     Concurrent jobs in one folder would replace each other's files. The report of `options.against` is read before the
     job starts, because the job may replace it.

@@ -65,7 +65,7 @@ class Range:
 
 @dataclass(frozen=True)
 class OnlyWith:
-    """Condition for an option: another option has one of these values or, without values, is given."""
+    """Condition that another option has one of these values or, without values, that it is given at all."""
 
     option: str
     values: tuple[object, ...] = ()
@@ -73,7 +73,7 @@ class OnlyWith:
 
 @dataclass(frozen=True)
 class NoEffect:
-    """The option does not change the content of the files that a job lists in its ledger (`io/kept.py`)."""
+    """Mark of an option that does not change the content of the files in a job's ledger (`io/kept.py`)."""
 
 
 def described(
@@ -183,7 +183,7 @@ class Options:
 
 
 def flag_of(options: type[Options], field: str) -> str:
-    """Name of an option on the command line, e.g. "--noise-arcmin"."""
+    """Return the name of an option on the command line, e.g. "--noise-arcmin"."""
     for note in _notes(typing.get_type_hints(options, include_extras=True)[field]):
         if isinstance(note, Parameter) and note.name:
             return str(next(iter(note.name)))

@@ -79,7 +79,7 @@ def pack_frames(
 
 
 def _refuse_others(folder: Path) -> None:
-    """Reject a folder with files that are not of a data set of `render`, because the data set would replace them."""
+    """Reject a folder with files outside a `render` data set, because the new data set would replace them."""
     if not folder.exists():
         return
     with disk_errors(folder):

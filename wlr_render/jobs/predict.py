@@ -102,7 +102,7 @@ def _other_poses(stated: Bench, own: Bench, path: Path) -> list[str]:
 
 
 def _verdict(found: BenchPrediction, bench: Path) -> Iterator[str]:
-    """Yield the verdict, whether the bench predicts the session to noise and repeatability, and a sentence per part."""
+    """Yield whether the bench predicts the session to noise and repeatability, then a sentence on each part."""
     count = len(found.captures)
     captures = f"the {count} captures of {found.session}" if count > 1 else f"the only capture of {found.session}"
     good, bad = ([part.name for part in found.parts if part.is_noise is wanted] for wanted in (True, False))

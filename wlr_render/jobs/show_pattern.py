@@ -114,8 +114,8 @@ class PatternOptions(Options):
 def pattern(options: PatternOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Write the pictures of a code with a page that shows them, or photograph them on the panel.
 
-    The page shows full screen, one picture pixel on one panel pixel. With `photograph`, only the photographs that the
-    folder does not have yet are taken.
+    The page fills the screen, with one picture pixel per panel pixel. With `photograph`, only the photographs missing
+    from the folder are taken.
 
     Raises:
         BadInputError: no such code can be made, the folder has other photographs, the page is not opened or does not

@@ -164,7 +164,7 @@ def _methods(judged: Sequence[JudgedPair]) -> list[str]:
 
 
 def complaints(judged: Sequence[JudgedPair]) -> list[str]:
-    """Return a warning for each pair that shows too little."""
+    """Return a warning for each pair that cannot be compared."""
     return [f"{pair.name}, {pair.method}: {pair.complaint}" for pair in judged if pair.complaint]
 
 

@@ -1,4 +1,4 @@
-"""Aliases of numpy array types, for annotations, and the check of numbers that callers give."""
+"""Aliases of numpy array types, for annotations, and the check of callers' numbers."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,11 @@ Float32Array = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_SHOWN_VALUES = 4  # most values that an error prints; it describes longer arrays by shape and type
+_SHOWN_VALUES = 4  # most values that an error prints; longer arrays are described by shape and type
 
 
 def read_only(array: FloatArray) -> FloatArray:
-    """Make an array read-only, which is computed once and shared, and return it."""
+    """Make an array read-only, because it is computed once and shared, and return it."""
     array.flags.writeable = False
     return array
 
@@ -41,7 +41,7 @@ def finite_array(value: object, shape: tuple[int, ...], what: str, wanted: str) 
     """
     try:
         numbers = np.asarray(value)
-    except (TypeError, ValueError, OverflowError):  # ragged lists, arrays of other libraries that are not in memory
+    except (TypeError, ValueError, OverflowError):  # ragged lists, or arrays of other libraries outside main memory
         numbers = np.asarray(None)
     if numbers.dtype.kind not in "iuf" or numbers.shape != shape or not np.isfinite(numbers).all():
         small = numbers.dtype.kind in "iuf" and numbers.size <= _SHOWN_VALUES

@@ -14,7 +14,7 @@ class Cells:
 
     Attributes:
         size: width of a cell along each variable; cells meet at the origin.
-        middles: (c, variables) of the cells that have a value.
+        middles: (c, variables) middles of the cells that have a value.
         coefficients: (c, outputs) values.
     """
 
@@ -40,11 +40,11 @@ class Cells:
 
     @property
     def are_distinct(self) -> bool:
-        """True if no two middles lie in one cell."""
+        """True if no two middles lie in the same cell."""
         return len(cells_of(self.middles, self.size)[0]) == len(self.middles)
 
 
 def cells_of(places: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
-    """Return the middles (c, variables) of the cells in which places (n, variables) lie, and the cell (n,) of each."""
+    """Return the middles (c, variables) of the cells that contain places (n, variables), and each place's cell (n,)."""
     cells, cell = np.unique(np.floor(places / size), axis=0, return_inverse=True)
     return size * (cells + 0.5), cell.reshape(-1)

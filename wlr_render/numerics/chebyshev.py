@@ -6,7 +6,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 
 def nodes(count: int, low: float, high: float) -> FloatArray:
-    """`count` Chebyshev points of the first kind in low..high, ascending, ends excluded."""
+    """Return `count` Chebyshev points of the first kind in low..high, ascending, ends excluded."""
     x = -np.cos((np.arange(count) + 0.5) * np.pi / count)
     return np.asarray(low + 0.5 * (x + 1.0) * (high - low))
 

@@ -25,11 +25,11 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.posterior import Posterior, solved
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
-_NEGLIGIBLE = 1e-7  # information of the readings on an unknown, relative to its prior
+_NEGLIGIBLE = 1e-7  # information of the readings on an unknown, relative to its prior, below which it is ignored
 _ROUNDED_AWAY = 1e-3  # share of the expected sum of squares that exact readings may lose by rounding
-_ROUGHLY, _ENOUGH = 0.05, 0.002  # gain in log evidence (nats) below which a search, and the last one, ends
-_LONGEST = 2.0  # step of a search along each principal axis of the evidence
-_FLAT = 1e-3  # curvature below which the evidence says nothing of how far to go
+_ROUGHLY, _ENOUGH = 0.05, 0.002  # gain in log evidence (nats) at which a search ends, and the last search
+_LONGEST = 2.0  # longest step of a search along each principal axis of the evidence
+_FLAT = 1e-3  # curvature below which the evidence does not determine the step length
 _STEPS, _TRIALS = 60, 10  # most steps of a search, and most trials of each step, with shrinking length
 
 Weights = FloatArray | Sequence[FloatArray]
@@ -46,16 +46,18 @@ class Sums:
         count: number of values of nonzero weight.
         log_weight: sum of the logarithms of their weights.
         square: weighted sum of squares of the values.
-        gram: (columns, columns) of the design A. moment: (outputs, columns) of A and the values.
-        side_gram: (side, side). side_cross: (outputs, side, columns). side_moment: (side,).
+        gram: (columns, columns) products of the design A with itself.
+        moment: (outputs, columns) products of A and the values.
+        side_gram, side_cross, side_moment: (side, side), (outputs, side, columns) and (side,) products of the side
+            unknowns' columns with themselves, with A and with the values.
     """
 
     def __init__(self, columns: int, outputs: int, mixed: int = 0, groups: int = 0, grouped: int = 0) -> None:
         """Start with empty sums, before any reading.
 
         Args:
-            columns: of A.
-            outputs: values of a reading.
+            columns: number of columns of A.
+            outputs: number of values of a reading.
             mixed: number of unknowns z.
             groups, grouped: number of groups, and of unknowns b in each group.
         """
@@ -130,7 +132,7 @@ class Sums:
     def _add_side(
         self, which: slice, half: FloatArray, whole: FloatArray, value: FloatArray, design: FloatArray
     ) -> None:
-        """Add columns weighted once, `half`, and twice, `whole`, both (n, outputs, k), of readings without weight."""
+        """Add columns (n, outputs, k) of unweighted readings, weighted once in `half` and twice in `whole`."""
         rows = half.reshape(-1, half.shape[2])  # matrix products are many times faster than einsum
         self.side_gram[which, which] += rows.T @ rows
         self.side_moment[which] += whole.reshape(-1, whole.shape[2]).T @ value.ravel()
@@ -193,11 +195,12 @@ class Prior:
         names: names of the hyperparameters; one is "noise", the logarithm of the noise.
         bounds: (hyperparameters, 2) lowest and highest values.
         expected: (hyperparameters, 2) mean and standard deviation of their hyperprior; infinite without one.
-        features: (columns, hyperparameters) of the coefficients x, the same for each output.
-        mixed_features: (mixed, hyperparameters) of z.
-        group_features: (grouped, hyperparameters) of b.
-        group_offset: (groups, grouped) added to the logarithms of the prior sizes of b.
-        offset: (columns,) likewise of x. mixed_offset: (mixed,) of z.
+        features: (columns, hyperparameters) derivatives of log size of the coefficients x, the same for each output.
+        mixed_features: (mixed, hyperparameters) likewise for z.
+        group_features: (grouped, hyperparameters) likewise for b.
+        group_offset: (groups, grouped) offset of log size of b.
+        offset: (columns,) offset of log size of x.
+        mixed_offset: (mixed,) offset of log size of z.
     """
 
     names: tuple[str, ...]
@@ -239,7 +242,7 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
         sums: sums over the readings.
         prior: prior of the unknowns.
         hyper: hyperparameters, logarithms.
-        evidence: False if the evidence is not needed; it is the first to suffer from rounding.
+        evidence: False if the evidence is not needed; rounding affects it first.
 
     Raises:
         np.linalg.LinAlgError: a normal matrix is indefinite, or the sum of squares vanishes, by rounding.
@@ -248,7 +251,7 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
     per_noise = float(np.exp(-log_noise))
     side_features, side_offset = prior.side(sums.groups)
     scale, side_scale = prior.sizes(hyper), np.exp(side_offset + side_features @ hyper)
-    # Unknowns that the readings do not inform keep their prior; leaving them out saves most of the work.
+    # Unknowns without information from the readings keep their prior; leaving them out saves most of the work.
     used = scale**2 * np.diag(sums.gram) * per_noise**2 > _NEGLIGIBLE
     side_used = side_scale**2 * np.diag(sums.side_gram) * per_noise**2 > _NEGLIGIBLE
     width, side_width = scale[used] * per_noise, side_scale[side_used] * per_noise
@@ -345,7 +348,7 @@ def _values(at: Posterior) -> FloatArray:
 def _climb(sums: Sums, prior: Prior, at: Posterior, enough: float) -> Posterior:
     """Return the posterior of highest evidence near another one, by Newton steps within the bounds.
 
-    The search ends where a step promises to gain less than `enough`.
+    The search ends when the predicted gain of a step is less than `enough`.
     """
     radius = _LONGEST
     for _ in range(_STEPS):

@@ -20,9 +20,9 @@ class Root:
     """Result of `solve_2x2`.
 
     Attributes:
-        unknown: (n, 2); the last iterate, also where it did not converge.
-        converged: (n,) bool.
-        iterations: Newton steps that the slowest element took.
+        unknown: (n, 2) last iterates, whether or not they converged.
+        converged: (n,) mask of the converged elements.
+        iterations: number of Newton steps of the slowest element.
     """
 
     unknown: FloatArray
@@ -39,7 +39,7 @@ def solve_2x2(residual: Residual, start: FloatArray, tolerance: float) -> Root:
     Args:
         residual: returns residual and Jacobian of the elements in an index array.
         start: (n, 2) first guess; rows with NaN never converge.
-        tolerance: on the residual's norm.
+        tolerance: largest norm of the residual.
     """
     unknown = np.array(start, dtype=np.float64)
     index = np.flatnonzero(np.isfinite(unknown).all(axis=1))

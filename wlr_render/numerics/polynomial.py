@@ -1,17 +1,17 @@
 """Polynomials over any table of terms in scaled variables, with their Jacobian.
 
 A term is a product of Chebyshev polynomials T_k of the variables scaled to -1..1: well conditioned at order 7 and
-above, so that rank checks are reliable. Two groups of variables may have separate order limits (`limited_orders`):
-pixels are plenty, camera positions are expensive.
+above, so that rank checks are reliable. Two groups of variables may have separate order limits (`limited_orders`),
+because pixels are plentiful and camera positions are expensive.
 
 Hundreds of terms in four or five variables share some dozens of products of the first variables and of the last ones.
 With f and g these products, the value is sum_ij f_i(first) C_ij g_j(last): one matrix product and a short sum, instead
 of a product of columns per term. A caller that varies only some of the variables holds the others fixed
 (`Polynomial.held`) and pays for the short sum alone.
 
-Outside its box, grown by `BOX_SLACK`, a polynomial continues to first order from the nearest point of the box: its
-value is that point's value + Jacobian x excursion. High orders would explode there. The Jacobian stays the derivative
-of the value, so that Newton's method converges there, too; along the excursion it is that point's.
+Outside its box, grown by `BOX_SLACK`, a polynomial continues to first order from the nearest point of the box, because
+high orders would explode there: its value is the value at that point + Jacobian x excursion. The Jacobian remains the
+derivative of the value, so that Newton's method converges there, too; along the excursion it is that point's Jacobian.
 """
 
 import itertools
@@ -31,7 +31,7 @@ BOX_SLACK = 1e-3
 SCALED_LIMIT = 1.0 + 2.0 * BOX_SLACK
 """Size of a scaled variable at the border of the box grown by `BOX_SLACK`."""
 
-_CHUNK = 2_048  # rows per block: keeps their products in the processor's cache
+_CHUNK = 2_048  # rows per block, so few that their products stay in the processor's cache
 _SLOW = 12  # cost of one element-wise multiplication, in multiplications of a matrix product
 
 
@@ -42,7 +42,7 @@ def term_count(variables: int, degree: int) -> int:
 
 @lru_cache(maxsize=64)
 def total_degree(variables: int, degree: int) -> IntArray:
-    """Return (terms, variables) orders of all terms of total order <= `degree`, ordered by it; read-only."""
+    """Return (terms, variables) orders of all terms of total order <= `degree`, ordered by total order; read-only."""
     rows = itertools.product(range(degree + 1), repeat=variables)
     return _order_table((row for row in rows if sum(row) <= degree), variables)
 
@@ -101,7 +101,7 @@ class Box:
         return np.asarray(np.all(np.abs(self.scaled(inputs)) <= 1.0 + 2.0 * slack, axis=-1))
 
     def places(self, count: int) -> FloatArray:
-        """Return places (count, variables) in the box, the same at each call."""
+        """Return pseudo-random places (count, variables) in the box, the same at each call."""
         share = np.random.default_rng(0).uniform(size=(count, len(self.low)))
         return np.asarray(self.low + share * (self.high - self.low))
 
@@ -115,11 +115,11 @@ class _Products:
     """Products of Chebyshev polynomials of some variables, for n inputs.
 
     Attributes:
-        value: (products, n) at the point of the box nearest to each input.
-        slopes: (products, n) derivative by each scaled variable, there; empty if not needed and all inputs are inside.
-        beyond: (variables, n) vector from there to the input; None if all inputs are inside.
-        bends: (products, n) by each scaled variable: the derivative of `excess` less the slope; empty with `slopes`, or
-            if all inputs are inside.
+        value: (products, n) at the nearest point of the box to each input.
+        slopes: (products, n) derivative there by each scaled variable; empty if not needed and all inputs are inside.
+        beyond: (variables, n) vector from that point to the input; None if all inputs are inside.
+        bends: (products, n) derivative of `excess` minus the slope, by each scaled variable; empty like `slopes`, or if
+            all inputs are inside.
     """
 
     value: FloatArray
@@ -131,7 +131,7 @@ class _Products:
     def compute(cls, orders: IntArray, box: Box, inputs: FloatArray, slopes: bool = False) -> "_Products":
         """Compute the products of orders (products, variables) at inputs (n, variables)."""
         x, beyond = np.ascontiguousarray(box.scaled(inputs).T), None
-        if x.size and not np.abs(x).max() <= SCALED_LIMIT:  # NaN, too
+        if x.size and not np.abs(x).max() <= SCALED_LIMIT:  # also true for NaN
             inside = np.clip(x, -SCALED_LIMIT, SCALED_LIMIT)
             x, beyond, slopes = inside, x - inside, True
         t = np.empty((int(orders.max(initial=0)) + 1, *x.shape))
@@ -186,7 +186,7 @@ def basis(inputs: FloatArray, orders: IntArray, box: Box) -> FloatArray:
     Args:
         inputs: (n, variables).
         orders: (terms, variables), see `Polynomial`.
-        box: that scales the inputs.
+        box: box that scales the inputs.
     """
     middle = (orders.shape[1] + 1) // 2
     (first, row), (second, column) = _distinct(orders[:, :middle]), _distinct(orders[:, middle:])
@@ -202,7 +202,7 @@ def basis(inputs: FloatArray, orders: IntArray, box: Box) -> FloatArray:
 
 
 def _distinct(orders: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the distinct rows of (terms, variables), and for each term the index of its row; not to be changed."""
+    """Return the distinct rows of (terms, variables), and for each term the index of its row; do not modify them."""
     return _distinct_rows(orders.astype(np.int64).tobytes(), orders.shape)
 
 
@@ -219,8 +219,8 @@ class _Split:
     """Terms as products of one factor of the held and one of the free variables.
 
     Attributes:
-        held_axes, free_axes: the variables; together all.
-        held_orders, free_orders: (factors, variables) of each.
+        held_axes, free_axes: the held and the free variables, together all.
+        held_orders, free_orders: (factors, variables) orders of their factors.
         table: (outputs * free factors, held factors) coefficients; zero for absent terms.
     """
 
@@ -232,7 +232,7 @@ class _Split:
 
     @classmethod
     def from_terms(cls, orders: IntArray, coefficients: FloatArray, held_axes: Sequence[int]) -> "_Split":
-        if len(orders) == 0:  # zero, everywhere
+        if len(orders) == 0:  # the zero polynomial
             orders, coefficients = np.zeros((1, orders.shape[1]), np.int64), np.zeros((1, coefficients.shape[1]))
         held = list(held_axes)
         free = [axis for axis in range(orders.shape[1]) if axis not in held]
@@ -331,7 +331,7 @@ class Polynomial:
 
     @property
     def rounding(self) -> float:
-        """Rounding error of the values: tolerances of solves are not smaller."""
+        """Rounding error of the values, the smallest tolerance for solves."""
         return 0.0
 
     def __call__(self, inputs: FloatArray) -> FloatArray:

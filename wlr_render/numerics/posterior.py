@@ -1,4 +1,4 @@
-"""Posterior of the unknowns of a fit by evidence; the large arrays are made when they are first asked for."""
+"""Posterior of the unknowns of a fit by evidence; the large arrays are computed on first use."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,16 +17,17 @@ class Posterior:
     Attributes:
         hyper: hyperparameters by name, logarithms.
         log_evidence: natural logarithm of the probability density of the readings.
-        mean: (outputs, columns) of x.
-        mixed_mean: (mixed,) of z. group_mean: (groups, grouped) of b.
+        mean: (outputs, columns) mean of x.
+        mixed_mean: (mixed,) mean of z.
+        group_mean: (groups, grouped) mean of b.
         square: weighted sum of squared residuals.
         sizes: (side + columns,) prior sizes of z and b, then of an output's x.
         features: (side + columns, hyperparameters) derivatives of the logarithms of `sizes`.
         count: number of readings.
-        used, side_used: which of an output's x, and of z and b, the readings inform.
-        unit: mean of the used ones in units of their prior sizes: of z and b, then of x, output by output.
-        lower: Cholesky factor of the normal matrix of the used x of an output, in these units, if z and b were known.
-        side_lower: likewise, of the used z and b whatever x is.
+        used, side_used: masks of an output's x, and of z and b, on which the readings have information.
+        unit: mean of the used unknowns in units of their prior sizes: of z and b, then of x, output by output.
+        lower: Cholesky factor of the normal matrix, in these units, of an output's used x for known z and b.
+        side_lower: Cholesky factor of the normal matrix of the used z and b, with x integrated out.
         half_cross: (outputs, columns, side) `lower` times the negative derivative of x by z and b.
     """
 
@@ -48,7 +49,7 @@ class Posterior:
 
     @property
     def noise(self) -> float:
-        """Factor by which the stated sigmas must be multiplied."""
+        """Factor by which to multiply the stated sigmas."""
         return float(np.exp(self.hyper["noise"]))
 
     @cached_property
@@ -58,13 +59,13 @@ class Posterior:
 
     @cached_property
     def alone(self) -> FloatArray:
-        """(columns, columns) covariance of x of each output if the side unknowns were known."""
+        """(columns, columns) covariance of each output's x for known side unknowns."""
         return _in_place(self._inverse, self.sizes[len(self.side_used) :], self.used)
 
     def root_of(self, design: FloatArray) -> FloatArray:
-        """Return F (n, k): F F' is the covariance of design (n, columns) @ x of an output if z and b were known.
+        """Return F (n, k): F F' is the covariance of design (n, columns) @ x of an output for known z and b.
 
-        Unknowns that the readings do not inform are left out.
+        Unknowns without information from the readings are left out.
         """
         width = self.sizes[len(self.side_used) :][self.used]
         return solved(self.lower, (design[:, self.used] * width).T).T
@@ -126,7 +127,7 @@ class Posterior:
 
     @cached_property
     def _features(self) -> FloatArray:
-        """(unknowns, hyperparameters) of the used ones, in the order of `unit`."""
+        """(unknowns, hyperparameters) features of the used unknowns, in the order of `unit`."""
         side, columns = np.split(self.features, [len(self.side_used)])
         return np.concatenate([side[self.side_used], np.tile(columns[self.used], (len(self.half_cross), 1))])
 
@@ -140,23 +141,23 @@ class Posterior:
 
     @cached_property
     def _follow(self) -> FloatArray:
-        """(outputs, columns, side) negative derivative of x by the side unknowns, of the used ones in prior units."""
+        """(outputs, columns, side) negative derivative of x by the side unknowns, for used unknowns in prior units."""
         return np.stack([solved(self.lower, each, transposed=True) for each in self.half_cross])
 
     @cached_property
     def _by_half_side(self) -> FloatArray:
-        """(outputs, columns, side): its products with itself are what z and b add to the covariance of x."""
+        """(outputs, columns, side): a square root of the covariance that z and b add to x."""
         return np.stack([solved(self.side_lower, each.T).T for each in self._follow])
 
     @cached_property
     def _variance(self) -> FloatArray:
-        """(unknowns,) of the used ones in prior units."""
+        """(unknowns,) variances of the used unknowns in prior units."""
         of_x = np.diag(self._inverse) + np.sum(self._by_half_side**2, axis=2)
         return np.concatenate([np.diag(self._side_inverse), of_x.ravel()])
 
     @cached_property
     def _unit_covariance(self) -> FloatArray:
-        """(unknowns, unknowns) covariance of the used ones in prior units."""
+        """(unknowns, unknowns) covariance of the used unknowns in prior units."""
         outputs, columns, side = self.half_cross.shape
         half = self._by_half_side.reshape(outputs * columns, side)
         whole = np.empty((side + len(half), side + len(half)))

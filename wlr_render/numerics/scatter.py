@@ -1,4 +1,4 @@
-"""Scatter of captures: each has a small random motion of its camera, whose size is found from the readings.
+"""Scatter of captures: a small random motion of the camera in each capture, with a size estimated from the readings.
 
     y = J c + E_g b_g + e,   c ~ N(mean, 1),   b_g ~ N(0, D^2),   e ~ N(0, noise^2)
 
@@ -24,10 +24,10 @@ LOG10_ODDS = float(0.5 / np.log(10.0))
 USUAL_SHIFT, USUAL_TURN = SESSION_REPEATABILITY_M.micro, SESSION_TURN_RAD.micro
 """Usual repeatability of a stage, micrometres, and random turns of its carriage, microradians."""
 UNUSUAL_SHIFT, UNUSUAL_TURN = 200.0, 600.0
-"""Beyond what stages repeat to: 25 usual sizes, 2.7 standard deviations of their logarithms."""
-_USUAL_RANGE = SESSION_REPEATABILITY_M.log_sigma  # standard deviation of their logarithms
-MOVED = np.array([1000.0] * 3 + [8000.0] * 3)  # standard deviations of a capture that moved, units of motions
-_COST_OF_MOVING = float(np.log(0.97 / 0.03))  # three captures of a hundred are expected to have moved
+"""Limits of the repeatability of stages: 25 usual sizes, 2.7 standard deviations of their logarithms."""
+_USUAL_RANGE = SESSION_REPEATABILITY_M.log_sigma  # standard deviation of the logarithms of usual sizes
+MOVED = np.array([1000.0] * 3 + [8000.0] * 3)  # standard deviations of a moved capture's motion, in units of motions
+_COST_OF_MOVING = float(np.log(0.97 / 0.03))  # prior log odds against a moved capture: three in a hundred move
 PARTS = 3
 """Parts of a session, each with its own sizes: captures of the panel, of a target, and of both at run time."""
 
@@ -37,9 +37,9 @@ class Scatter:
     """Sizes of noise and of the captures' motions.
 
     Attributes:
-        noise: (3,) noise of each part over the noise within its photographs.
+        noise: (3,) ratio of each part's noise to the noise within its photographs.
         shift_um, turn_urad: (3,) standard deviations of a capture's motion in each part, per axis.
-        moved: (captures,) mask of captures that moved by far more.
+        moved: (captures,) mask of captures that moved far more than the others.
     """
 
     noise: FloatArray
@@ -49,12 +49,12 @@ class Scatter:
 
     @classmethod
     def usual(cls, captures: int) -> "Scatter":
-        """Sizes from which a search starts: half the usual ones, with no capture that moved."""
+        """Return start sizes for a search: half the usual ones, without moved captures."""
         ones = np.ones(PARTS)
         return cls(ones, 0.5 * USUAL_SHIFT * ones, 0.5 * USUAL_TURN * ones, np.zeros(captures, dtype=bool))
 
     def vector(self) -> FloatArray:
-        """Logarithms of all sizes (9,)."""
+        """Return the logarithms of all sizes (9,)."""
         return np.asarray(np.log(np.concatenate([self.noise, self.shift_um, self.turn_urad])))
 
     def at(self, vector: FloatArray) -> "Scatter":
@@ -63,11 +63,11 @@ class Scatter:
         return replace(self, noise=noise, shift_um=shift, turn_urad=turn)
 
     def at_rest(self) -> "Scatter":
-        """Return the scatter without captures that moved."""
+        """Return the scatter without moved captures."""
         return replace(self, moved=np.zeros_like(self.moved))
 
     def with_other(self, number: int) -> "Scatter":
-        """Return the scatter with one capture that moved if it did not, and the other way round."""
+        """Return the scatter with the `moved` flag of one capture inverted."""
         return replace(self, moved=self.moved ^ (np.arange(len(self.moved)) == number))
 
     def is_ordinary(self, part: int, material_excess: float) -> bool:
@@ -76,7 +76,7 @@ class Scatter:
         return bool(usual and self.noise[part] ** 2 <= 1.0 + material_excess)
 
     def sizes(self, part_of: IntArray) -> FloatArray:
-        """Return the standard deviations (g, 6) of the motions of captures of given parts (g,) over the noise."""
+        """Return the standard deviations (g, 6) of the motions of captures of parts `part_of` (g,), over the noise."""
         usual = np.repeat(np.stack([self.shift_um, self.turn_urad], axis=1), 3, axis=1)[part_of]
         sizes = np.where(self.moved[:, None], np.hypot(usual, MOVED), usual)
         return np.asarray(sizes / self.noise[part_of][:, None])
@@ -87,12 +87,14 @@ class ScatterSums:
     """Sums over the readings of each capture g, and of each part, from which the evidence follows.
 
     Attributes:
-        part_of: (g,) of each capture. used: (g,) whether it has readings. count: (parts,) values.
-        square: (parts,) of y. ee: (g, 6, 6), ey: (g, 6), ex: (g, 6, m) of motions E, y and columns J.
-        xx: (parts, m, m), xy: (parts, m).
+        part_of: (g,) part of each capture.
+        used: (g,) whether the capture has readings.
+        count, square: (parts,) number of values y, and their sum of squares.
+        ee, ey, ex: (g, 6, 6), (g, 6) and (g, 6, m) products of motions E with themselves, with y and with columns J.
+        xx, xy: (parts, m, m) and (parts, m) products of columns with themselves and with y.
         y, columns, part: white readings (n, 2), their columns (n, 2, m), and the part (n,) of each reading.
-        mean, sigma: (m,) of the priors of the columns' coefficients.
-        carried: number of the last columns, of located effects: their coefficients are integrated out like motions.
+        mean, sigma: (m,) normal priors of the columns' coefficients.
+        carried: number of columns at the end for located effects; their coefficients are integrated out like motions.
     """
 
     part_of: IntArray
@@ -123,15 +125,15 @@ class ScatterSums:
         mean: FloatArray | float = 0.0,
         sigma: FloatArray | float = 1.0,
     ) -> "ScatterSums":
-        """Over white readings.
+        """Return the sums over white readings.
 
         Args:
-            y: (n, 2).
-            motions: (n, 2, 6) for micrometres and microradians.
-            columns: (n, 2, m).
-            group, part: (n,) of each reading.
+            y: (n, 2) readings.
+            motions: (n, 2, 6) change of the readings by a micrometre or microradian of motion.
+            columns: (n, 2, m) columns.
+            group, part: (n,) group and part of each reading.
             captures: number of groups.
-            mean, sigma: as in the class, of each column or of all.
+            mean, sigma: as in the class, one value or one for each column.
         """
         m = columns.shape[-1]
         part_of, used = np.zeros(captures, dtype=np.int64), np.zeros(captures, dtype=bool)
@@ -150,7 +152,7 @@ class ScatterSums:
         return cls(part_of, used, count, square, ee, ey, ex, xx, xy, y, columns, part, mean, sigma)
 
     def of_columns(self, which: IntArray, mean: FloatArray | None = None, sigma: FloatArray | None = None) -> Self:
-        """Return the sums for some of the columns, with other priors if given, and for the carried ones."""
+        """Return the sums for some of the columns and the carried columns, with other priors if given."""
         last = len(self.mean) - self.carried
         whole = np.r_[which, last : len(self.mean)]
         mean, sigma = (
@@ -183,9 +185,9 @@ class Known(NamedTuple):
     """Columns that are integrated out.
 
     Attributes:
-        columns: of them.
-        sigma: of the priors of their coefficients.
-        moved, by: other columns whose effect at these values is taken off the readings.
+        columns: indices of the columns.
+        sigma: standard deviations of their coefficients' priors.
+        moved, by: other columns, and coefficients at which their effect is subtracted from the readings.
     """
 
     columns: IntArray
@@ -199,9 +201,9 @@ class Marginal:
     """The readings with all motions integrated out: a quadratic form in the coefficients of columns.
 
     Attributes:
-        minus_two_log: of the probability density of the readings at coefficients of zero, up to a constant.
-        information: (m, m), gradient: (m,): y's dependence on the coefficients.
-        mean, sigma: (m,) of the coefficients' normal priors.
+        minus_two_log: -2 log probability density of the readings at coefficients of zero, up to a constant.
+        information, gradient: (m, m) and (m,) of the quadratic form.
+        mean, sigma: (m,) normal priors of the coefficients.
     """
 
     minus_two_log: float
@@ -211,7 +213,7 @@ class Marginal:
     sigma: FloatArray
 
     def of_columns(self, known: Known) -> "Marginal":
-        """Return the part that some of the columns have in it."""
+        """Return the quadratic form of the known columns alone, after the columns `moved` are moved."""
         columns, sigma, moved, by = known
         across = self.information[:, moved] @ by
         value = self.minus_two_log - 2.0 * float(by @ self.gradient[moved]) + float(by @ across[moved])
@@ -241,7 +243,7 @@ class Marginal:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """(m, m) of the coefficients."""
+        """(m, m) covariance of the coefficients."""
         return np.asarray(np.linalg.inv(self.precision), np.float64)
 
     @property
@@ -251,8 +253,8 @@ class Marginal:
 
     @property
     def minus_two_log_evidence(self) -> float:
-        """-2 log evidence of the readings: with the coefficients integrated out, too."""
-        # The unknown is the distance from the mean over sigma.
+        """-2 log evidence of the readings, with the coefficients integrated out, too."""
+        # Unknowns are distances from the mean in units of sigma.
         gradient = self.sigma * (self.gradient - self.information @ self.mean)
         normal = self.sigma[:, None] * self.information * self.sigma + np.eye(len(gradient))
         at_mean = self.minus_two_log - 2.0 * float(self.gradient @ self.mean)
@@ -262,13 +264,13 @@ class Marginal:
 
 
 def marginal(sums: ScatterSums, scatter: Scatter) -> Marginal:
-    """Integrate the motions out, and the effects that are carried."""
+    """Integrate out the motions and the carried effects."""
     every, count = without_motions(sums, scatter), len(sums.mean) - sums.carried
     return every.folded(Known(np.arange(count, len(sums.mean)), sums.sigma[count:]), np.arange(count))
 
 
 def without_motions(sums: ScatterSums, scatter: Scatter) -> Marginal:
-    """Integrate the motions out, for all columns."""
+    """Integrate out the motions, for all columns."""
     variance = scatter.noise**2
     per = 1.0 / variance[sums.part_of]
     sizes = scatter.sizes(sums.part_of)
@@ -290,7 +292,7 @@ def without_motions(sums: ScatterSums, scatter: Scatter) -> Marginal:
 
 
 def costs_of_sizes(information: FloatArray, gradient: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Return the changes (s,) of -2 log evidence if coefficients of a common size are integrated out.
+    """Return the change of -2 log evidence for each size (s,) of coefficients that are integrated out.
 
     Args:
         information, gradient: (c, c) and (c,) as in `Marginal`.
@@ -303,7 +305,7 @@ def costs_of_sizes(information: FloatArray, gradient: FloatArray, sizes: FloatAr
 
 
 def surprise(scatter: Scatter, sums: ScatterSums) -> float:
-    """Twice the negative logarithm of how usual the sizes are."""
+    """Return -2 log prior probability of the sizes and of the moved captures, up to a constant."""
     parts = [part for part in range(PARTS) if np.any(sums.used & (sums.part_of == part))]
     off = [
         np.log(size[part] / usual) / _USUAL_RANGE
@@ -314,15 +316,14 @@ def surprise(scatter: Scatter, sums: ScatterSums) -> float:
 
 
 def cost(sums: ScatterSums, scatter: Scatter) -> float:
-    """-2 log evidence, weighed with how usual the sizes are."""
+    """Return -2 log evidence plus `surprise`: -2 log posterior of the sizes, up to a constant."""
     return without_motions(sums, scatter).minus_two_log_evidence + surprise(scatter, sums)
 
 
 def cost_and_slopes(sums: ScatterSums, scatter: Scatter) -> tuple[float, FloatArray]:
     """Return `cost` and its derivatives (3, parts) by the logarithms of noise, shifts and turns.
 
-    The derivative of -2 log N(y; 0, C) is tr(C^-1 C') - y' C^-1 C' C^-1 y: what each size explains of the readings
-    against how far the readings determine it.
+    The derivative of -2 log N(y; 0, C) is tr(C^-1 C') - y' C^-1 C' C^-1 y.
     """
     every, variance = without_motions(sums, scatter), scatter.noise[sums.part_of] ** 2
     value = every.minus_two_log_evidence + surprise(scatter, sums)
@@ -335,9 +336,9 @@ def cost_and_slopes(sums: ScatterSums, scatter: Scatter) -> tuple[float, FloatAr
     spread = response @ covariance
     explained = np.sum(spread * response, axis=2)
     by_axis = 2.0 * (1.0 - np.diagonal(inverse, axis1=1, axis2=2) - (explained + rest**2) / variance[:, None])
-    # A capture that moved has a wide prior in addition to the usual one, which does not change.
+    # A moved capture has a wide prior of fixed size in addition to the usual one.
     by_axis = by_axis * (scatter.at_rest().sizes(sums.part_of) / sizes) ** 2 * sums.used[:, None]
-    # Squares of what motions leave, and the directions that motions and columns take up, of each capture.
+    # Change of each capture's sum of squares by motions, and degrees of freedom that motions and columns absorb.
     motion, turned = sizes * rest, sizes[:, :, None] * response
     left = np.einsum("gi,gij,gj->g", motion, sums.ee, motion) - 2.0 * np.sum(motion * pull, axis=1)
     taken = 6.0 - np.trace(inverse, axis1=1, axis2=2)

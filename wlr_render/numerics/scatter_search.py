@@ -1,4 +1,4 @@
-"""Search for the sizes of motions and noise that have the highest evidence, and for captures that moved."""
+"""Search for the sizes of motions and noise with the highest evidence, and for captures that moved."""
 
 from dataclasses import replace
 
@@ -18,17 +18,17 @@ from wlr_render.numerics.scatter import (
     without_motions,
 )
 
-_RAISED = 3.0  # largest motion of a capture that did not move, in usual sizes
-_STANDS_OUT = -10.0  # twice the log likelihood of a wide motion from which a capture may have moved
+_RAISED = 3.0  # largest assumed size of ordinary motions, in usual sizes, when captures are tested for having moved
+_STANDS_OUT = -10.0  # twice the gain in log likelihood by a wide motion from which a capture may have moved
 _LOWEST, _HIGHEST = np.log(0.1), np.log(3000.0)
 _NOISIEST = np.log(100.0)
-_ENOUGH = 0.02  # fall of -2 log evidence by a step that ends the search
+_ENOUGH = 0.02  # fall of -2 log evidence in a step below which the search ends
 FEWEST_TO_STAND_OUT = 4
-"""Captures of a part among which one may stand out."""
+"""Fewest captures of a part among which one can stand out."""
 
 
 def best_scatter(sums: ScatterSums, start: Scatter) -> tuple[Scatter, float]:
-    """Return the sizes of highest evidence and -2 log of it, from a start on; the captures that moved are given."""
+    """Return the sizes of highest evidence, searched from a start with given moved captures, and -2 log evidence."""
     moving = np.array([bool(np.any(sums.ee[sums.part_of == part])) for part in range(PARTS)])
     present = sums.count > 0
     free = np.concatenate([present, moving, moving])
@@ -59,10 +59,10 @@ def best_scatter(sums: ScatterSums, start: Scatter) -> tuple[Scatter, float]:
 
 
 def with_moved_captures(sums: ScatterSums, start: Scatter) -> tuple[Scatter, float]:
-    """Return the sizes of highest evidence, and -2 log of it, where some captures may have moved far more than others.
+    """Return the sizes of highest evidence, with captures that moved far more than others, and -2 log evidence.
 
-    Captures of a part are added in the order of the gain by a wide motion, up to half of them; the number of highest
-    evidence is kept, and each capture is tried once more alone.
+    Captures of a part are added in the order of their gain by a wide motion, up to half of them; the number with the
+    highest evidence is kept, and each moved capture is then tested alone.
     """
     best, least = best_scatter(sums, start.at_rest())
     if start.moved.any():
@@ -71,7 +71,7 @@ def with_moved_captures(sums: ScatterSums, start: Scatter) -> tuple[Scatter, flo
         own = np.flatnonzero(sums.used & (sums.part_of == part))
         if len(own) < FEWEST_TO_STAND_OUT or not np.any(sums.ee[own]):
             continue
-        for _ in range(2):  # captures that are known to have moved no longer hide others
+        for _ in range(2):  # captures marked as moved in the first round no longer hide others
             gain = _own_gain(sums, best)[own]
             if np.max(gain) < _STANDS_OUT:
                 break
@@ -81,7 +81,7 @@ def with_moved_captures(sums: ScatterSums, start: Scatter) -> tuple[Scatter, flo
 
 
 def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray) -> tuple[Scatter, float]:
-    """Return the best number of captures that moved, taken in an order."""
+    """Return the scatter with the best number of moved captures, taken in the given order, and -2 log evidence."""
     most = len(order) // 2
     tried: dict[int, tuple[Scatter, float]] = {}
 
@@ -103,7 +103,7 @@ def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray) -> 
 
 
 def one_by_one(sums: ScatterSums, best: Scatter, least: float, captures: IntArray) -> tuple[Scatter, float]:
-    """Add each of some captures to the ones that moved, or remove it, if that has the higher evidence."""
+    """Invert the `moved` flag of each of some captures if that increases the evidence."""
     for number in captures:
         at = best.with_other(number)
         if cost(sums, at) < least:
@@ -112,7 +112,7 @@ def one_by_one(sums: ScatterSums, best: Scatter, least: float, captures: IntArra
 
 
 def scatter_errors(sums: ScatterSums, scatter: Scatter) -> FloatArray:
-    """Return standard errors (3, parts) of the logarithms of noise, shifts and turns by the evidence's curvature."""
+    """Return standard errors (3, parts) of the logarithms of noise, shifts and turns, from the evidence's curvature."""
     first, step = scatter.vector(), 0.1
 
     def at(vector: FloatArray) -> float:
@@ -127,7 +127,7 @@ def _own_gain(sums: ScatterSums, scatter: Scatter) -> FloatArray:
     """Return twice the gain in log likelihood by a wide motion of each capture (g,)."""
     pull = _pull(sums, scatter)
     noise = scatter.noise[sums.part_of][:, None]
-    # Several captures that moved raise the size that is found for all, behind which they would hide.
+    # Limit the sizes: several moved captures raise the size found for all, which would hide them.
     shift, turn = (
         np.minimum(size, _RAISED * usual)
         for size, usual in ((scatter.shift_um, USUAL_SHIFT), (scatter.turn_urad, USUAL_TURN))
@@ -146,12 +146,12 @@ def _own_gain(sums: ScatterSums, scatter: Scatter) -> FloatArray:
 
 
 def _pull(sums: ScatterSums, scatter: Scatter) -> FloatArray:
-    """Return the sums (g, 6) of motions and readings, less the most probable effect of all columns."""
+    """Return the sums (g, 6) of motions and readings, minus the most probable effect of all columns."""
     return np.asarray(sums.ey - sums.ex @ without_motions(sums, scatter).values)
 
 
 def motions_of(sums: ScatterSums, scatter: Scatter) -> FloatArray:
-    """Most probable motion of each capture (g, 6), micrometres and microradians, the causes' values being fitted."""
+    """Return the most probable motion (g, 6) of each capture, micrometres and microradians, at the fitted values."""
     sizes = scatter.sizes(sums.part_of)
     normal = sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6)
     pull = _pull(sums.of_columns(np.zeros(0, dtype=np.int64)), scatter)

@@ -2,13 +2,14 @@
 
     cov(e_i, e_j) = sigma_i sigma_j ((1 - share) [i = j] + share (1 + d) exp(-d)),    d = sqrt(3) |x_i - x_j| / length
 
-Interpolation of the picture, its compression and air make such noise. Left out of the likelihood, it looks like motions
-of the camera and like optics, because the mean of many readings that share noise is not as good as their number says.
+Interpolation of the picture, its compression and moving air cause such noise. Left out of the likelihood, it looks like
+motions of the camera and like optics, because the mean of readings that share noise is less accurate than their number
+suggests.
 
 The field is of the Matern class of order 3/2, or Gaussian where it is smooth (Rasmussen and Williams, "Gaussian
 Processes for Machine Learning", 2006, chapter 4). The class decides how far the tail of the correlation reaches, and
-with it how good a mean is. Class, share and length maximise the restricted likelihood (Patterson and Thompson,
-Biometrika 58, 1971, 545-554) of the residuals of a polynomial in each photograph.
+thereby how accurate a mean is. Class, share and length maximise the restricted likelihood (Patterson and Thompson,
+Biometrika 58, 1971, 545-554) of the residuals about a polynomial in each photograph.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,12 +23,12 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
 _LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # lengths of the field, in distances between neighbours
-_USUAL_LENGTH = 3  # index among them, from which the search goes to its neighbours
+_USUAL_LENGTH = 3  # index of the length at which the search starts
 _SHARES = np.linspace(0.0, 0.96, 49)
 _READINGS, _GROUPS = 120, 16  # most readings per group and most groups used; the share's error is then 0.03
-_MOST_BYTES = 2e8  # most memory of the cached roots, if all have the size of the last one
-_TOP_ORDER, _PER_TERM = 2, 5  # highest order of the polynomial for motions of the camera, and least readings per term
-_ODDS = 100.0  # against white noise from which noise is taken for shared
+_MOST_BYTES = 2e8  # most memory of the cached roots, estimated from the size of the last one
+_TOP_ORDER, _PER_TERM = 2, 5  # highest order of the polynomial for motions of the camera, and fewest readings per term
+_ODDS = 100.0  # least odds against white noise at which noise counts as shared
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,8 @@ class SharedNoise:
     """Noise that neighbouring readings of a photograph share.
 
     Attributes:
-        share: of the variance that the field has; the rest is white.
-        length: of the field, in the unit of the places.
+        share: share of the variance in the field; the rest is white.
+        length: correlation length of the field, in the unit of the places.
         is_smooth: whether the field varies smoothly.
     """
 
@@ -49,7 +50,7 @@ class SharedNoise:
         return self.correlation_at(scipy.spatial.distance.cdist(place, place))
 
     def correlation_at(self, distance: FloatArray) -> FloatArray:
-        """Return the correlation of the field between places at these distances."""
+        """Return the correlation of the field between places at given distances."""
         if self.is_smooth:
             return np.asarray(np.exp(-0.5 * (distance / self.length) ** 2))
         apart = distance * (np.sqrt(3.0) / self.length)
@@ -60,7 +61,7 @@ class SharedNoise:
 
         Args:
             place: (n, 2) places of the readings of one photograph.
-            kept: (n,) weights, 1 down to 0 for outliers, of the white noise.
+            kept: (n,) weights of the readings, from 1 down to 0 for outliers, which scale the white noise.
         """
         key = self, place.tobytes(), kept.tobytes()
         root = _roots.pop(key, None)
@@ -82,15 +83,15 @@ class SharedNoise:
 
 
 _roots: dict[tuple[SharedNoise, bytes, bytes], FloatArray] = {}
-"""Roots in the order of their last use: captures often see the same places, and a fit needs them repeatedly."""
+"""Roots in the order of their last use: captures often share places, and a fit needs the roots repeatedly."""
 
 
 @dataclass(frozen=True)
 class Contrasts:
-    """Contrasts of readings of a photograph in which no smooth function of the place has a part.
+    """Contrasts of a photograph's readings, orthogonal to smooth functions of the place.
 
     Attributes:
-        distance: (n, n) between the places of the readings.
+        distance: (n, n) distances between the places of the readings.
         across: (n, c) orthonormal contrasts.
         square: (c, c) second moments of their values, summed over both axes.
     """
@@ -101,17 +102,18 @@ class Contrasts:
 
     @classmethod
     def of(cls, place: FloatArray, design: FloatArray, values: FloatArray) -> "Contrasts":
-        """Contrasts of values (n, k) of readings at places (n, 2) in which no column of a design (n, p) has a part."""
+        """Return contrasts, orthogonal to the columns of a design (n, p), of values (n, k) at places (n, 2)."""
         axes, sizes, _ = np.linalg.svd(design)
         across = np.asarray(axes[:, int(np.sum(sizes > 1e-9 * sizes[0])) :])
         seen = across.T @ values
         return cls(scipy.spatial.distance.cdist(place, place), across, seen @ seen.T)
 
     def likelihood_terms(self, field: SharedNoise, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return terms of the restricted likelihood of noise of unit variance, of which a field has shares (k,).
+        """Return terms of the restricted likelihood of noise of unit variance with shares (k,) of a field.
 
         Returns:
-            Logarithm (k,) of the determinant of the contrasts' covariance, and the sum of their squares (k,) by it.
+            Logarithm (k,) of the determinant of the contrasts' covariance, and their sum of squares (k,) weighted by
+            its inverse.
         """
         sizes, axes = np.linalg.eigh(self.across.T @ field.correlation_at(self.distance) @ self.across)
         power = np.sum(axes * (self.square @ axes), axis=0)
@@ -124,14 +126,14 @@ def find_shared_noise(
     residuals: Sequence[FloatArray],
     unsure: Callable[[int, IntArray], FloatArray],
 ) -> SharedNoise | None:
-    """Return the noise that neighbours share, by restricted likelihood; None where white noise is about as probable.
+    """Return the noise that neighbours share, by restricted likelihood; None if white noise is about as probable.
 
-    A fit follows the noise that readings share, so that its residuals have less of it: the expected likelihood over the
-    posterior of the fit counts (Dempster, Laird and Rubin, J. Royal Statistical Society B 39, 1977, 1-38).
+    A fit follows the noise that readings share, so that its residuals have less of it: therefore the likelihood is
+    averaged over the posterior of the fit (Dempster, Laird and Rubin, J. Royal Statistical Society B 39, 1977, 1-38).
 
     Args:
-        places: (n, 2) of the readings of each photograph.
-        residuals: (n, 2) of a fit, over their sigma, without outliers.
+        places: (n, 2) places of the readings of each photograph.
+        residuals: (n, 2) residuals of a fit, in units of sigma, without outliers.
         unsure: (number of a photograph, some of its readings (m,)) -> (m, k) factor F of the posterior covariance F F'
             of the fitted values, over their sigma.
     """
@@ -149,7 +151,7 @@ def find_shared_noise(
 
     @cache
     def minus_two(row: int, is_smooth: bool) -> FloatArray:
-        """Return -2 log restricted likelihood of a field, (shares,), at the best noise size for each share."""
+        """Return -2 log restricted likelihood (shares,) of a field, at the best noise size for each share."""
         field = SharedNoise(1.0, _LENGTHS[row] * spacing, is_smooth)
         logs, squares, count = np.zeros(len(_SHARES)), np.zeros(len(_SHARES)), 0
         for patch in patches:
@@ -181,7 +183,7 @@ def neighbour_distance(places: Sequence[FloatArray]) -> float:
 
 
 def _patch(place: FloatArray, rng: np.random.Generator) -> IntArray:
-    """Return readings (m,) around a random one, so that neighbours stay neighbours."""
+    """Return readings (m,) around a random one, so that neighbours stay together."""
     if len(place) <= _READINGS:
         return np.arange(len(place))
     middle = place[rng.integers(len(place))]
@@ -189,6 +191,6 @@ def _patch(place: FloatArray, rng: np.random.Generator) -> IntArray:
 
 
 def _polynomials(place: FloatArray) -> FloatArray:
-    """Return the polynomials (n, p) over the places that a motion of the camera may have."""
+    """Return polynomials (n, p) of the places, which a motion of the camera can change."""
     order = next(n for n in range(_TOP_ORDER, -1, -1) if n == 0 or term_count(2, n) * _PER_TERM <= len(place))
     return basis(place, total_degree(2, order), Box.around(place))

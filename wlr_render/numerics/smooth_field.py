@@ -1,6 +1,6 @@
 """Smooth random fields over a rectangle: waves whose prior sizes fall with their frequency.
 
-Waves without the part that is linear in the place: poses and scales have that part.
+The waves have no part that is linear in the place, because poses and scales have that part.
 """
 
 from dataclasses import dataclass
@@ -10,18 +10,18 @@ import numpy as np
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_BEYOND = 1.15  # ratio of the extent of the waves, at which all sines vanish, to the rectangle
+_BEYOND = 1.15  # ratio of the waves' extent, at whose ends all sines vanish, to the rectangle
 _GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 15)] * 2), axis=-1).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
 class SmoothField:
-    """Sine waves over a rectangle, less their linear part.
+    """Sine waves over a rectangle, minus their linear part.
 
     Attributes:
-        low, high: (2,) corners of the rectangle. Beyond it the field continues to its edge and is constant.
-        counts: half waves along each side, 1 to this many.
-        fall: of the logarithm of a wave's size for each half wave.
+        low, high: (2,) corners of the rectangle; outside, the field has the value of the nearest point of its edge.
+        counts: largest number of half waves along each side.
+        fall: decrease of the logarithm of a wave's size per half wave.
     """
 
     low: tuple[float, float]
@@ -53,7 +53,7 @@ class SmoothField:
 
     @property
     def _orders(self) -> IntArray:
-        """(k, 2) half waves along x and y."""
+        """(k, 2) numbers of half waves along x and y."""
         along = np.meshgrid(*(np.arange(1, count + 1) for count in self.counts), indexing="ij")
         return np.stack(along, axis=-1).reshape(-1, 2)
 
@@ -67,7 +67,7 @@ class SmoothField:
 
     @cached_property
     def _linear(self) -> FloatArray:
-        """(3, k) constant and slopes of each wave over the rectangle, by places from -1 to 1."""
+        """(3, k) constant and slopes of each wave over the rectangle, for places from -1 to 1."""
         return np.asarray(
             np.linalg.lstsq(np.column_stack([np.ones(len(_GRID)), _GRID]), self._products(_GRID), rcond=None)[0]
         )

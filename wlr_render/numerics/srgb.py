@@ -21,14 +21,14 @@ _CODE_OF_STEP = np.rint(255 * _srgb_of_linear(np.arange(_STEPS + 1) / _STEPS)).a
 
 
 def decode_srgb(code: NDArray[np.uint8]) -> Float32Array:
-    """8-bit sRGB (...) to linear light 0..1, float32 (...)."""
+    """Decode 8-bit sRGB (...) to linear light 0..1, float32 (...)."""
     return _LINEAR_OF_CODE.take(code)
 
 
 def encode_srgb(linear: Float32Array) -> NDArray[np.uint8]:
-    """Finite linear light (...), clipped to 0..1, to 8-bit sRGB (...).
+    """Encode finite linear light (...), clipped to 0..1, as 8-bit sRGB (...).
 
-    The table's step is worth at most 0.05 codes, so that the result is within 0.53 codes of the exact curve.
+    A step of the table is at most 0.05 codes, so that the result is within 0.53 codes of the exact curve.
     """
     step = np.clip(linear, np.float32(0), np.float32(1))
     step *= np.float32(_STEPS)

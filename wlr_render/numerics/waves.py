@@ -15,8 +15,8 @@ class Wave:
 
     Attributes:
         axis: number of the variable.
-        period: of the wave, in the variable's unit.
-        coefficients: (2, outputs) of the sine and of the cosine of 2 pi x / period.
+        period: period of the wave, in the variable's unit.
+        coefficients: (2, outputs) coefficients of the sine and of the cosine of 2 pi x / period.
     """
 
     axis: int
@@ -43,8 +43,8 @@ class LocalWaves:
     A term is a product of sin(pi s) sin(k pi s) over the variables, s from 0 to 1 across the box, with an order k each.
 
     Attributes:
-        orders: (terms, variables) from 1.
-        box: outside of which the function is zero.
+        orders: (terms, variables) orders, from 1.
+        box: box outside of which the function is zero.
         coefficients: (terms, outputs).
     """
 
@@ -70,14 +70,14 @@ class LocalWaves:
 
     @cached_property
     def _grid(self) -> FloatArray:
-        """Coefficients (orders, ..., outputs) by the order along each variable."""
+        """Coefficients (orders, ..., outputs) arranged by the order along each variable."""
         most, variables = int(self.orders.max()), self.orders.shape[1]
         grid = np.zeros((*(most,) * variables, self.coefficients.shape[1]))
         np.add.at(grid, tuple(self.orders.T - 1), self.coefficients)
         return grid
 
     def _factors(self, angle: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Return the factors (m, orders) of each variable at angles (m, variables) from 0 to pi; and derivatives."""
+        """Return the factors (m, orders) of each variable at angles (m, variables) from 0 to pi, and derivatives."""
         each, per_unit = np.arange(1, len(self._grid) + 1), 0.5 * np.pi * self.box.per_unit
         factors, slopes = [], []
         for along, scale in zip(angle.T[:, :, None], per_unit, strict=True):
@@ -96,6 +96,6 @@ class LocalWaves:
 
 
 def local_orders(most: int) -> IntArray:
-    """Return the orders (terms, 2) of local waves in two variables whose sum is at most one above `most`."""
+    """Return the orders (terms, 2) of local waves in two variables, with sums up to `most` + 1."""
     pairs = [(m, n) for m in range(1, most + 1) for n in range(1, most + 2 - m)]
     return np.array(sorted(pairs, key=sum), dtype=np.int64)

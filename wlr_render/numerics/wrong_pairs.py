@@ -1,4 +1,4 @@
-"""Find which of several measured points are wrong, by the evidence."""
+"""Identification of wrong points among several measured ones, by evidence."""
 
 import math
 
@@ -8,13 +8,15 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 
 def wrong_pairs(innovation: FloatArray, spread: FloatArray, share: float, scatter: float) -> tuple[BoolArray, float]:
-    """Return which of n points, pairs of numbers, are most likely wrong, (n,), and the logarithm of the evidence.
+    """Return a mask (n,) of the points, pairs of numbers, that are most likely wrong, and the log evidence.
 
-    One pair after the other is called wrong, or right again, as long as that makes the whole more probable.
+    The search flags one pair at a time as wrong, or as right again, as long as the evidence increases.
 
     Args:
-        innovation: (2 n,) measured less expected. spread: (2 n, 2 n) its covariance if no pair is wrong.
-        share: of wrong pairs, before the measurement. scatter: their standard deviation per axis.
+        innovation: (2 n,) measured minus expected.
+        spread: (2 n, 2 n) covariance of the innovation if no pair is wrong.
+        share: prior share of wrong pairs.
+        scatter: standard deviation of wrong pairs per axis.
     """
     count = len(innovation) // 2
     wrong = np.zeros(count, dtype=bool)
@@ -22,7 +24,7 @@ def wrong_pairs(innovation: FloatArray, spread: FloatArray, share: float, scatte
     while True:
         covariance = spread + np.diag(np.repeat(wrong, 2) * scatter**2)
         precision = np.asarray(np.linalg.inv(covariance))
-        # By Woodbury's identity: what another variance of each click alone does to the evidence.
+        # Woodbury's identity gives the change of the evidence by another variance of each pair alone.
         added = np.where(wrong, -1.0, 1.0) * scatter**2
         own = precision.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
         weighed = (precision @ innovation).reshape(count, 2)

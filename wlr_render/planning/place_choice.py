@@ -1,8 +1,8 @@
-"""Choice of camera places from the posterior of a fit: each where the variance of registration falls most.
+"""Choice of camera places from the posterior of a fit: each is where the variance of registration falls most.
 
 Readings are linear in the unknown coefficients, so that the posterior covariance with further places follows without
-photographs or fits. A place replaces a chosen one as long as the mean variance over the eye box falls by it (exchange
-for I-optimality: Fedorov 1972, Atkinson & Donev 1992).
+photographs or fits. Places replace chosen ones as long as this lowers the mean variance over the eye box (exchange for
+I-optimality: Fedorov 1972, Atkinson & Donev 1992).
 """
 
 from collections.abc import Sequence
@@ -20,23 +20,23 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import basis
 from wlr_render.planning.planned_errors import FAR_M, NEAR_M, PlannedFit
 
-_READINGS = 110  # readings of a capture, with a smaller sigma for the same information
+_READINGS = 110  # number of readings of a capture, with a smaller sigma for the same information
 _DISTANCES_M = (0.3, 0.6, 1.5, 3.0)  # candidate distances of one more target
-_APART = 0.1  # dioptres, of distances that differ
+_APART = 0.1  # least difference of two distances, dioptres
 _TESTS = 150
 _LEAST_INFORMATION = 0.3  # smallest information of a combination of readings, relative to the prior
 _WORTH = 1e-3  # smallest gain of an exchange, as a share of the error
 
 
 class _Posterior:
-    """Posterior of one side with the places that were taken."""
+    """Posterior of one side with the places chosen so far."""
 
     def __init__(self, offers: "_Offers") -> None:
         self._designs, tests = offers
         self._own = self._designs @ self._designs.transpose(0, 2, 1)  # (places, k, k)
         self._cross = self._designs @ tests.T  # (places, k, tests)
         self._halves = np.zeros((0, *self._designs.shape[:2]))
-        self.variance = float(np.sum(tests**2)) / len(tests)  # mean of the tests, of an axis
+        self.variance = float(np.sum(tests**2)) / len(tests)  # mean over the tests, per axis
 
     def take(self, place: int) -> None:
         """Condition on the readings of a place."""
@@ -46,7 +46,7 @@ class _Posterior:
         half = np.linalg.solve(lower, known.reshape(len(lower), -1)).reshape(known.shape)
         cross = np.linalg.solve(lower, self._cross[place])
         self._halves = np.concatenate([self._halves, half])
-        by_place = half.transpose(1, 2, 0)  # (places, k of theirs, k of this)
+        by_place = half.transpose(1, 2, 0)  # (places, their k, k of this place)
         self._own = self._own - by_place @ by_place.transpose(0, 2, 1)
         self._cross = self._cross - by_place @ cross
         self.variance -= float(np.sum(cross**2)) / cross.shape[1]
@@ -63,7 +63,7 @@ class PlaceChoice:
     """Choice among offered camera places.
 
     Attributes:
-        places: (n, 3) offered, device frame, metres.
+        places: (n, 3) offered places, device frame, metres.
     """
 
     places: FloatArray
@@ -74,16 +74,16 @@ class PlaceChoice:
         """Offer places for captures of the headset of a fit.
 
         Args:
-            fit: says how smooth the optics are, the noise, and how well the stage repeats.
-            places: (n, 3) offered.
+            fit: fit that gives the smoothness of the optics, the noise, and the repeatability of the stage.
+            places: (n, 3) offered places.
             depths_m: distances of the targets from the centre of the eye box.
-            is_added: whether places are added to the captures of the fit; otherwise to none.
+            is_added: whether places are added to the captures of the fit; otherwise the captures are not used.
         """
         rng = np.random.default_rng(0)
         shown, seen = fit.display, fit.see_through
         viewpoint = seen.captures.eye_box.at(rng.uniform(-1.0, 1.0, (_TESTS, 3)))
         depth = 1.0 / rng.uniform(1.0 / FAR_M, 1.0 / NEAR_M, _TESTS)
-        # As many readings as captures have tell more than any choice of places needs; fewer of less noise do.
+        # Captures have more readings than a choice of places needs; fewer readings with less noise suffice.
         pixel = shown.captures.pixel[rng.integers(0, len(shown.captures), _READINGS)]  # type: ignore[union-attr]
         view_dir = seen.captures.view_dir[rng.integers(0, len(seen.captures), _READINGS)]
         test = rng.integers(0, _READINGS, _TESTS)
@@ -119,7 +119,7 @@ class PlaceChoice:
 
         Args:
             count: number of places.
-            start: indices (count,) of a first design; the better of it and of places chosen one by one counts.
+            start: indices (count,) of another start design, in addition to the best places chosen one by one.
         """
         found = [self._exchanged(taken) for taken in (self.one_by_one(count)[0], [*start]) if len(taken) == count]
         return np.array(min(found, key=self.error), np.int64)
@@ -137,7 +137,7 @@ class PlaceChoice:
         return taken
 
     def error(self, taken: Sequence[int]) -> float:
-        """Rms registration error over the eye box with places, by their indices, arcminutes."""
+        """Return the rms registration error over the eye box with places, given by their indices, arcminutes."""
         return _error(self._with(taken))
 
     def _with(self, taken: Sequence[int]) -> tuple[_Posterior, _Posterior]:
@@ -157,14 +157,14 @@ class PlaceChoice:
 
 
 def _error(sides: tuple[_Posterior, _Posterior]) -> float:
-    """Both axes have the same variance."""
+    """Return the rms error of both sides; both axes have the same variance."""
     return float(np.sqrt(2.0 * sum(side.variance for side in sides)))
 
 
 def further_distance(
     fit: PlannedFit, places: FloatArray, depths_m: Sequence[float], is_added: bool
 ) -> tuple[float, float]:
-    """Return the distance of one more target, photographed from places (m, 3), that lowers the registration error most.
+    """Return the distance of one more target, seen from places (m, 3), that lowers the registration error most.
 
     Returns:
         The distance in metres, and the ratio of the rms errors with and without it. See `PlaceChoice.of`.
@@ -181,7 +181,7 @@ def further_distance(
 
 
 def _shown(fit: ModelFit[FittedDisplay], places: FloatArray, pixel: FloatArray) -> DisplayCaptures:
-    """Predict captures of pixels (n, k, 2) from places (n, 3) with the model."""
+    """Predict, with the model, captures of pixels (n, k, 2) from places (n, 3)."""
     found = fit.mapping.view_dir_of_pixel(pixel, places[:, None])
     place, column = np.nonzero(np.isfinite(found.value).all(axis=-1) & (found.value[..., 2] < 0))
     captures = fit.captures
@@ -203,7 +203,7 @@ def _shown(fit: ModelFit[FittedDisplay], places: FloatArray, pixel: FloatArray) 
 def _seen(
     fit: ModelFit[FittedSeeThrough], places: FloatArray, view_dir: FloatArray, depths_m: Sequence[FloatArray]
 ) -> SeeThroughCaptures:
-    """Predict captures of points in directions (n, k, 3) at depths (n,) of each target with the model."""
+    """Predict, with the model, captures of points in directions (n, k, 3) at depths (n,) of each target."""
     captures = fit.captures
     assert isinstance(captures, SeeThroughCaptures)
     ray = fit.mapping.real_ray_of_view_dir(view_dir, places[:, None]).value
@@ -228,7 +228,7 @@ def _seen(
 
 
 def _sigma(captures: DisplayCaptures | SeeThroughCaptures, each: int, count: int) -> FloatArray:
-    """Return the sigma (count,) of captures with `each` readings that carry the information of these captures."""
+    """Return the sigma (count,) at which `each` readings per capture have as much information as the given captures."""
     usual = len(captures) / len(captures.visits[0])
     return np.full(count, float(np.median(captures.sigma_arcmin)) * np.sqrt(each / usual))
 
@@ -254,7 +254,7 @@ def _offers(
     size = np.linalg.norm(root, axis=1)
     short = []
     for design in smooth.whitened(readings, offered.capture, places):
-        # Combinations of readings that hold nearly all information.
+        # Keep the combinations of readings with nearly all the information.
         extent, vectors = np.linalg.eigh((design * size) @ (design * size).T)
         short.append(vectors[:, extent > _LEAST_INFORMATION].T @ design)
     each = max(map(len, short))

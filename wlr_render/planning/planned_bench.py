@@ -1,4 +1,4 @@
-"""What the bench of a planned session leaves in its captures: noise, repeatability, and smooth errors of the stage."""
+"""The errors of a planned session's bench in its captures: noise, repeatability, and smooth errors of the stage."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,10 +22,10 @@ from wlr_render.simulation.simulate_captures import simulate_display, simulate_s
 from wlr_render.usual import CODE_NOISE_PX, DOT_NOISE_PX, STAGE_SCREW_M
 
 GRID = (17, 13)
-"""Directions of a simulated capture: fewer than are read, each with less noise, so that a capture tells as much."""
+"""Directions of a simulated capture: fewer than are read, each with less noise, for the same information."""
 _DEGREE = 3  # degree of the curve along an axis
 _CURVE = 71  # stream of random numbers
-_PITCH_M = 1e-3  # of lead screws
+_PITCH_M = 1e-3  # pitch of lead screws
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class ReadingOptions:
 class StageCurve:
     """Smooth errors of a stage that remain after its calibration.
 
-    Cubic curves along the axes are fitted to photographs without the headset, which the stage's random errors displace.
+    Cubic curves along the axes are fitted to photographs without the headset, which have the stage's random errors.
 
     Attributes:
         errors: the stage's true errors.
@@ -68,9 +68,9 @@ class StageCurve:
         """Fit the curves.
 
         Args:
-            errors, centre: see above.
+            errors, centre: as in the class.
             steps: (n, 3) stage positions between -1 and 1 along each axis.
-            random: (n, 6) random rotation (rad) and displacement (m) of the camera there.
+            random: (n, 6) random rotation (rad) and displacement (m) of the camera at these positions.
         """
         degrees = tuple(min(_DEGREE, len(np.unique(along)) - 1) for along in steps.T)
         motion = np.stack([errors.motion(each) for each in steps * errors.half_travel_m]) + random
@@ -78,20 +78,20 @@ class StageCurve:
         return cls(errors, centre, degrees, found)
 
     def __call__(self, position: FloatArray) -> FloatArray:
-        """Rotation (rad) and displacement (m) of the camera (m, 6) at positions (m, 3)."""
+        """Return rotation (rad) and displacement (m) of the camera (m, 6) at positions (m, 3)."""
         away = position - self.centre
         motion = np.stack([self.errors.motion(each) for each in away])
         return np.asarray(motion - _powers(away / self.errors.half_travel_m, self.degrees) @ self.found)
 
 
 def _powers(unit: FloatArray, degrees: tuple[int, ...]) -> FloatArray:
-    """1 and the powers (n, k) of each coordinate of (n, 3)."""
+    """Return 1 and the powers of each coordinate of `unit` (n, 3) as columns (n, k)."""
     powers = [unit[:, axis] ** power for axis, degree in enumerate(degrees) for power in range(1, degree + 1)]
     return np.stack([np.ones(len(unit)), *powers], axis=1)
 
 
 def _with_screws(curve: StageCurve, phase: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Return a curve and periodic errors of lead screws, of usual size and phases (3,), which no calibration finds."""
+    """Return the sum of a curve and periodic lead-screw errors of usual size, which calibrations do not find."""
 
     def motion(position: FloatArray) -> FloatArray:
         screw = np.sqrt(2.0) * STAGE_SCREW_M.value * np.sin(2.0 * np.pi * position / _PITCH_M + phase)
@@ -107,10 +107,10 @@ class PlannedBench:
     Attributes:
         truth: the traced eye.
         recipe: device, code, camera, targets and imperfections.
-        noise: of a dot and of a decoded panel position.
+        noise: noise of a dot and of a decoded panel position.
         bench: the simulated bench of the recipe.
-        in_depth: whether the camera stands before and behind the middle plane, too; the stage is then calibrated at
-            five levels of that axis, too.
+        in_depth: whether the camera also stands in front of and behind the middle plane; the stage is then also
+            calibrated at five levels of that axis.
     """
 
     truth: Eye
@@ -129,7 +129,7 @@ class PlannedBench:
         """Arcminutes per pixel of the panel, in its middle.
 
         Raises:
-            BadInputError: four pixels from the middle, in each direction, is not seen.
+            BadInputError: the eye does not see all pixels up to four pixels from the middle.
         """
         middle = 0.5 * np.array(self.truth.display.panel.size_px)
         pixel = middle + np.array([[-4.0, 0.0], [4.0, 0.0], [0.0, -4.0], [0.0, 4.0]])
@@ -143,7 +143,7 @@ class PlannedBench:
 
     @cached_property
     def reach_m(self) -> FloatArray:
-        """(2,) from the middle of the region of camera places to its edges: where rays through the eye box meet it."""
+        """(2,) half width and height of the region of camera places, which rays through the eye box cover."""
         box = self.truth.eye_box
         return np.asarray(0.5 * box.size[:2] + 0.5 * box.size[2] * self.field_reach)
 
@@ -153,7 +153,7 @@ class PlannedBench:
         return self.setup().field.reach
 
     def places(self, unit: FloatArray) -> FloatArray:
-        """Camera places (m, 3) of places (m, 3) between -1 and 1; see `designs.places_of`."""
+        """Return the camera places (m, 3), in metres, of places (m, 3) between -1 and 1; see `designs.places_of`."""
         return places_of(unit, self.truth.eye_box, self.field_reach)
 
     def setup(self, depths_m: tuple[float, ...] | None = None) -> CaptureSetup:
@@ -203,7 +203,7 @@ class PlannedBench:
         code = make_pattern(self.recipe.pattern, self.bench.optics.panel.pixels)
         return {
             "codes on the display": places * len(code.names()),
-            # The first place of each target pose once more: what moved meanwhile shows there.
+            # The first place of each target pose is photographed again, to detect motion in the meantime.
             "board through the optics": (places + 1) * poses,
             "board without the headset": len(self.bare_steps),
             "board by the tracking camera": 2 * poses,

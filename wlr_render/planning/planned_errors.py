@@ -23,8 +23,8 @@ from wlr_render.simulation import viewpoints
 _VIEWPOINTS, _EACH = 150, 8
 NEAR_M, FAR_M = 0.3, 5.0
 """Distances of real points, evenly in dioptres."""
-_CURVES = 4  # smooth errors of the stage that are averaged over
-_DRAWS = 8  # draws of the random part of each error
+_CURVES = 4  # number of smooth stage errors to average over
+_DRAWS = 8  # number of draws of the random part of each error
 _TESTS, _PILOT = 72, 73  # streams of random numbers
 
 
@@ -37,17 +37,20 @@ class PlannedFit:
 
     @classmethod
     def to(cls, captures: Captures) -> "PlannedFit":
-        """Fit as calibration does, but outliers, of which captures have none here, are not looked for."""
+        """Fit as calibration does, but without a search for outliers, because these captures have none."""
         shown, seen = captures.both
         return cls(fit_display(shown, weights=np.ones(len(shown))), fit_see_through(seen, weights=np.ones(len(seen))))
 
 
 @dataclass(frozen=True, eq=False)
 class EyeTests:
-    """A real point and the pixel that covers it, as they are seen from viewpoints all over the eye box.
+    """Real points and the pixels that cover them, seen from viewpoints all over the eye box.
 
     Attributes:
-        viewpoint: (n, 3). pixel: (n, 2). point: (n, 3). view_dir: (n, 3) direction of both.
+        viewpoint: (n, 3) viewpoints.
+        pixel: (n, 2) pixels.
+        point: (n, 3) real points.
+        view_dir: (n, 3) common direction of pixel and point.
     """
 
     viewpoint: FloatArray
@@ -57,7 +60,7 @@ class EyeTests:
 
     @classmethod
     def of(cls, truth: Eye, seed: int) -> "EyeTests":
-        """Random directions of the nominal field, or of the whole panel if the device names no field."""
+        """Draw random directions in the nominal field, or on the whole panel if the device states no field."""
         rng = np.random.default_rng([seed, _TESTS])
         viewpoint = viewpoints.random_in_eye_box(truth.eye_box, _VIEWPOINTS, rng)[:, None]
         shown = mapping_error.observations_at_random(truth, viewpoint, _EACH, rng, truth.field)
@@ -68,7 +71,7 @@ class EyeTests:
         return cls(viewpoint, shown.pixel[seen], points.point, view_dir)
 
     def directions(self, display: FittedDisplay, see_through: FittedSeeThrough) -> tuple[FloatArray, FloatArray]:
-        """Directions (n, 3) in which models see the pixel, and the point."""
+        """Return the directions (n, 3) in which models see the pixel, and the point."""
         return (
             display.view_dir_of_pixel(self.pixel, self.viewpoint).value,
             see_through.view_dir_of_real_point(self.point, self.viewpoint).value,
@@ -80,7 +83,8 @@ class DesignErrors:
     """Errors of a calibration over the eye box, arcminutes.
 
     Attributes:
-        display: error of a pixel's direction. see_through: error of a real point's direction.
+        display: error of a pixel's direction.
+        see_through: error of a real point's direction.
         registration: angle between a real point and its virtual overlay.
     """
 
@@ -94,7 +98,7 @@ class Scales:
     """Sizes of the errors of a bench as multiples of the planned ones.
 
     Attributes:
-        noise: of dots and decoded positions.
+        noise: noise of dots and decoded positions.
         random: repeatability and random turns of the stage.
         smooth: error of the stage's calibration.
     """
@@ -106,15 +110,15 @@ class Scales:
 
 @dataclass(frozen=True, eq=False)
 class DesignPredictor:
-    """Predicts the errors of designs from the fit of one simulated session, the pilot.
+    """Prediction of the errors of designs from the fit of one simulated session, the pilot.
 
-    The pilot says how smooth the optics are. The covariance of another design follows from its places, its readings and
-    that smoothness, without a fit.
+    The pilot gives the smoothness of the optics. The covariance of another design follows from its places, its readings
+    and that smoothness, without a fit.
 
     Attributes:
         bench: the planned bench.
-        pilot: fitted to captures of a design.
-        tests: where errors are predicted.
+        pilot: models fitted to captures of one design.
+        tests: pixels and points whose errors are predicted.
     """
 
     bench: PlannedBench
@@ -124,10 +128,10 @@ class DesignPredictor:
     def models(
         self, unit: FloatArray, scales: Scales = Scales(), depths_m: tuple[float, ...] | None = None
     ) -> tuple[FittedDisplay, FittedSeeThrough]:
-        """Models with the covariance of a design with places (m, 3), see `Design.unit`."""
+        """Return models with the covariance of a design with places (m, 3), see `Design.unit`."""
         display, see_through = self.bench.captures(self.bench.places(unit), [0, _PILOT], None, depths_m).both
         changes = {"noise": scales.noise, "shift": scales.random, "turn": scales.random}
-        # The stage as the pilot estimates it: a fit counts unmodelled smooth errors as random motions.
+        # Use the pilot's estimate of the stage: a fit counts unmodelled smooth errors as random motions.
         shown, seen = (
             {name: float(side.smooth.posterior.hyper[name] + np.log(scale)) for name, scale in changes.items()}
             for side in (self.pilot.display, self.pilot.see_through)
@@ -140,11 +144,11 @@ class DesignPredictor:
     def errors(
         self, unit: FloatArray, scales: Scales = Scales(), depths_m: tuple[float, ...] | None = None
     ) -> DesignErrors:
-        """Predicted errors of a design with places (m, 3)."""
+        """Return the predicted errors of a design with places (m, 3)."""
         return self.errors_of(*self.models(unit, scales, depths_m), scales.smooth)
 
     def errors_of(self, display: FittedDisplay, see_through: FittedSeeThrough, smooth: float = 1.0) -> DesignErrors:
-        """Predicted errors by the covariance of two models and the error of the stage's calibration."""
+        """Return the errors predicted from the covariance of two models and the error of the stage's calibration."""
         shown = display.sigma(self.tests.pixel, self.tests.viewpoint)
         seen = see_through.sigma(self.tests.point, self.tests.viewpoint)
         sizes = (shown, seen, np.hypot(shown, seen))
@@ -154,9 +158,10 @@ class DesignPredictor:
 
     @cached_property
     def _by_curves(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Errors (curves, n) of display, see-through and registration by the error of the stage's calibration.
+        """Errors (curves, n) of display, see-through and registration from the error of the stage's calibration.
 
-        The fits take them for optics. As both photograph from the same places, parts cancel in registration.
+        The fits mistake that error for optics. Both sides use the same places, so that it partly cancels in
+        registration.
         """
         now = self.tests.directions(self.pilot.display.mapping, self.pilot.see_through.mapping)
         found = []
@@ -171,7 +176,7 @@ class DesignPredictor:
         return shown, seen, both
 
     def simulated(self, fit: PlannedFit) -> DesignErrors:
-        """Errors of a fit against the traced headset."""
+        """Return the errors of a fit against the traced headset."""
         shown, seen = self.tests.directions(fit.display.mapping, fit.see_through.mapping)
         pairs = ((shown, self.tests.view_dir), (seen, self.tests.view_dir), (shown, seen))
         return DesignErrors(*(summary(arcmin_between(*pair)) for pair in pairs))
@@ -180,7 +185,7 @@ class DesignPredictor:
 def place_variance(
     display: FittedDisplay, see_through: FittedSeeThrough, place: FloatArray, tests: EyeTests
 ) -> FloatArray:
-    """Mean predicted variance (k,) of registration as seen from places (k, 3), arcminutes squared."""
+    """Return the mean predicted variance (k,) of registration as seen from places (k, 3), square arcminutes."""
     rows = np.linspace(0, len(tests.pixel) - 1, 60).astype(int)
     pixel, point = tests.pixel[rows][:, None], tests.point[rows][:, None]
     return np.asarray(np.nanmean(registration_variance(display, see_through, pixel, place[None], point), axis=0))
@@ -189,16 +194,16 @@ def place_variance(
 def registration_variance(
     display: FittedDisplay, see_through: FittedSeeThrough, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
 ) -> FloatArray:
-    """Predicted mean square length (...) of the registration error, arcminutes squared.
+    """Return the predicted mean square length (...) of the registration error, square arcminutes.
 
-    What both models share counts by its difference; see `model_registration_covariance` for the arguments.
+    Errors common to both models count only by their difference; see `model_registration_covariance` for the arguments.
     """
     by_source = model_registration_covariance(display, see_through, pixel, viewpoint, point)
     return variance(np.asarray(sum(by_source.values())))
 
 
 def _lengths(sigma: FloatArray, curve: FloatArray) -> Summary:
-    """Lengths of errors: random ones of rms length `sigma` (n,), added to smooth ones (curves, n)."""
+    """Summarise lengths of errors: random ones of rms length `sigma` (n,), added to smooth ones `curve` (curves, n)."""
     rng = np.random.default_rng(0)
     along, across = rng.standard_normal((2, _DRAWS, 1, len(sigma))) * sigma / np.sqrt(2.0)
     return summary(np.hypot(curve + along, across))

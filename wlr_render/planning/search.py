@@ -21,11 +21,11 @@ from wlr_render.planning.planned_errors import (
 LEAST_PLACES = 9
 PILOT_PLACES = 30
 """Camera places of the pilot session."""
-_GUESSES = 4  # numbers of places at which a chosen design is predicted, at most
-_FIRST_STEP = 16  # number of steps over all designs; steps double until a design reaches the accuracy
-_MORE = 1.25  # times as many places if the simulated session misses the accuracy
+_GUESSES = 4  # most numbers of places at which a chosen design is predicted
+_FIRST_STEP = 16  # number of first steps over all designs; steps double until a design reaches the accuracy
+_MORE = 1.25  # factor on the number of places if the simulated session misses the accuracy
 _TRIALS = 3
-_AGREES = 1.1  # tolerance on the goal: one session's errors scatter as much
+_AGREES = 1.1  # tolerance factor on the goal, because the errors of a single session scatter by as much
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class PredictedDesign:
 
     @property
     def p95(self) -> float:
-        """Registration error in arcminutes that 95 % of the eye box stay below."""
+        """Registration error, in arcminutes, that is not exceeded in 95 % of the eye box."""
         return self.errors.registration.p95
 
 
@@ -46,10 +46,11 @@ class DesignSearch:
     """Result of a search.
 
     Attributes:
-        predictor: predicts errors of designs like the recommended one, whose simulated session is its pilot.
+        predictor: predictor of designs' errors; its pilot is the simulated session of the recommended design.
         tried: designs of each family with their predicted errors, by number of places.
-        recommended: the design to use. simulated: errors of a simulated session of it, against the traced headset.
-        limits: predicted errors with one error of the bench changed, by its name.
+        recommended: the design to use.
+        simulated: errors of a simulated session with this design, against the traced headset.
+        limits: predicted errors with one change of the bench or the design, by the name of the change.
         reaches: True if prediction and simulation reach the accuracy.
     """
 
@@ -68,7 +69,7 @@ def find_design(bench: PlannedBench, accuracy_arcmin: float, most: int, say: Cal
         bench: the planned bench.
         accuracy_arcmin: goal for the registration error of 95 % of the eye box.
         most: largest number of places.
-        say: shows the current step.
+        say: called with a sentence at each step.
 
     Raises:
         BadInputError: the captures of a design do not determine a model.
@@ -99,11 +100,11 @@ def find_design(bench: PlannedBench, accuracy_arcmin: float, most: int, say: Cal
         more = min(most, int(np.ceil(_MORE * len(best.design))))
         if reaches or not enough or more == len(best.design) or trial == _TRIALS - 1:
             break
-        # A fit to few places also has to find how smooth the optics are, which the prediction takes as known.
+        # A fit to few places must also estimate the smoothness of the optics, which the prediction takes as known.
         best = _predicted(predictor, spread_of(more))
         by_family[SPREAD] = (*by_family[SPREAD], best)
     say("predicting what limits the accuracy")
-    # How smooth optics look depends on how many places saw them: the session of this design is its own pilot.
+    # The apparent smoothness of the optics depends on the number of places: use this design's session as the pilot.
     predictor = replace(predictor, pilot=fit)
     best = _predicted(predictor, best.design)
     return DesignSearch(predictor, by_family, best, simulated, _limits(predictor, best.design), reaches)
@@ -116,7 +117,7 @@ def _predicted(predictor: DesignPredictor, design: Design) -> PredictedDesign:
 def _bisected(
     predictor: DesignPredictor, designs: Sequence[Design], accuracy_arcmin: float
 ) -> tuple[PredictedDesign, ...]:
-    """Predictions on the way to the first of the designs, smallest first, that reaches the accuracy."""
+    """Search the designs, sorted by size, for the first that reaches the accuracy; return all predictions made."""
     tried: dict[int, PredictedDesign] = {}
 
     def reaches(number: int) -> bool:
@@ -133,18 +134,18 @@ def _bisected(
 
 
 def _smallest(by_family: Mapping[str, tuple[PredictedDesign, ...]], accuracy_arcmin: float) -> int:
-    """Return the number of places of the smallest design that reaches the accuracy, or of the largest."""
+    """Return the number of places of the smallest design that reaches the accuracy, or else of the largest."""
     every = [each for tried in by_family.values() for each in tried]
     enough = [len(each.design) for each in every if each.p95 <= accuracy_arcmin]
     return min(enough) if enough else max(len(each.design) for each in every)
 
 
 def _chosen(predictor: DesignPredictor, most: int, accuracy_arcmin: float) -> tuple[PredictedDesign, ...]:
-    """Chosen designs on the way to the smallest that reaches the accuracy."""
+    """Search for the smallest chosen design that reaches the accuracy; return all predictions made."""
     tried: dict[int, PredictedDesign] = {}
     tail, (_, errors) = 2.0, _choice(predictor, most)[0].one_by_one(most)
     for _ in range(_GUESSES):
-        # Errors of the choice are cheap; errors of the design need a posterior and its low-rank factors.
+        # Errors from the choice are cheap; predicted errors of a design need a posterior and its low-rank factors.
         enough = [count for count in range(LEAST_PLACES, most) if tail * errors[count - 1] <= accuracy_arcmin]
         count = enough[0] if enough else most
         if count in tried:
@@ -155,7 +156,7 @@ def _chosen(predictor: DesignPredictor, most: int, accuracy_arcmin: float) -> tu
 
 
 def chosen_design(predictor: DesignPredictor, count: int) -> Design:
-    """Return the design of `count` places that the pilot's posterior chooses, at least as good as a regular spread."""
+    """Return the design of `count` places chosen by the pilot's posterior, at least as good as a regular spread."""
     choice, unit = _choice(predictor, count)
     taken = choice.chosen(count, start=range(len(unit) - count, len(unit)))
     return Design(f"{CHOSEN} {count}", unit[taken])
@@ -171,7 +172,7 @@ def _choice(predictor: DesignPredictor, count: int) -> tuple[PlaceChoice, FloatA
 
 
 def _limits(predictor: DesignPredictor, design: Design) -> dict[str, DesignErrors]:
-    """Predicted errors of the design with one thing changed."""
+    """Return the predicted errors for single changes of the bench or the design, by the name of the change."""
     bench, unit = predictor.bench, design.unit
     now_m = bench.recipe.bench.target_depths_m
     depths = (

@@ -272,7 +272,7 @@ def _arrow_layout(axes: tuple[str, str], panels: Sequence[str], y_down: bool) ->
 
 
 def _group_menu(names: Sequence[str], traces: int) -> dict[str, Any]:
-    """Return a menu that shows the traces of one group, `traces` each, and always the last trace."""
+    """Return a menu that shows the `traces` traces of one group at a time, and always the last trace."""
     shown = [[each // traces == number for each in range(traces * len(names))] + [True] for number in range(len(names))]
     buttons = [
         {"label": name, "method": "update", "args": [{"visible": visible}]}

@@ -59,7 +59,7 @@ Pool = tuple[Submit, Callable[[], bool]]
 
 @contextlib.contextmanager
 def dask_workers(address: str, folder: Path | None) -> Iterator[Pool]:
-    """Connect with the workers of a cluster for a `with` block, which drops waiting tasks if it ends early.
+    """Connect to the workers of a cluster for a `with` block; waiting tasks are dropped if it ends early.
 
     Raises:
         BadInputError: no scheduler answers at the address, or an error of `workers.as_finished`.
@@ -86,8 +86,8 @@ def dask_workers(address: str, folder: Path | None) -> Iterator[Pool]:
 def _require_scheduler(address: str) -> None:
     """Check that a Dask scheduler answers.
 
-    Dask's client retries for long if no server listens, waits forever for a server of another kind, and prints a
-    traceback when it gives up.
+    Dask's client retries for a long time if no server listens, waits forever for a server of another kind, and prints
+    a traceback when it gives up.
 
     Raises:
         BadInputError: the address is malformed, or no scheduler answers there.

@@ -1,6 +1,6 @@
 """Parallel tasks on the processor's cores, or on the machines of a cluster.
 
-Not joblib: its loky prints a traceback on Ctrl-C, and its workers outlive a parent that is killed.
+joblib is not used: its loky backend prints a traceback on Ctrl-C, and its workers outlive a killed parent.
 """
 
 import contextlib

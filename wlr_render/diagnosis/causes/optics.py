@@ -1,4 +1,4 @@
-"""Causes in the headset: combiner, panel, their shapes, media, a plate before it, and how the panel is read out.
+"""Causes in the headset: combiner, panel, their shapes, media, a plate in front, and the panel's readout.
 
 Device frame; metres and radians unless stated otherwise. Shapes: x points right and y up from the combiner's middle,
 where the line of sight straight ahead meets it; surfaces are raised away from the eye.

@@ -1,4 +1,4 @@
-"""Causes that users add, and the choice of the causes that a diagnosis considers."""
+"""User-defined causes, and the choice of causes for a diagnosis."""
 
 import importlib
 import importlib.util
@@ -163,7 +163,7 @@ def _fault(cause: Cause, bench: Bench) -> str:
 
 
 def _fault_of(returned: Sequence[Any], given: Bench, variant: str, null: FloatArray) -> str:
-    """Return the fault of the benches that a variant returns for small values and for its null values, or nothing."""
+    """Return the fault of a variant's benches for small values and for its null values; empty without a fault."""
     for each in returned:
         if not isinstance(each, Bench):
             return f"returns {type(each).__name__} in its variant '{variant}'; it must return a Bench"

@@ -1,4 +1,4 @@
-"""`calibrate`: fit the models of one or both eyes to whatever was measured, or to a simulation."""
+"""`calibrate`: fit the models of one or both eyes to measurements of any kind, or to a simulation."""
 
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions, Subject
 from wlr_render.jobs.job import job
@@ -15,8 +15,8 @@ def calibrate(options: CalibrateOptions, *, progress: ProgressArgument = SILENT)
 
     Raises:
         BadInputError: the path cannot be calibrated, an option does not apply to it, the input is faulty, or it does
-            not determine the models. In the last case the readings of photographs are kept, and the report says how far
-            the calibration came.
+            not determine the models. In the last case the readings of photographs are kept, and the report shows how
+            far the calibration got.
     """
     subject = options.subject
     options.require_for(subject)

@@ -14,7 +14,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Plot
 from wlr_render.report.plots import arrow_map, bars, heat_map
 
-_CELLS = 48  # cells of a map, across the panel
+_CELLS = 48  # number of cells of a map across the panel
 _CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 

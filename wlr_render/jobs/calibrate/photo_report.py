@@ -22,7 +22,7 @@ from wlr_render.jobs.decode import rejection_colours
 from wlr_render.lenses.residual_lens import RESIDUAL, ResidualLens
 from wlr_render.report.blocks import Block, Cell, Columns, Estimate, Number, Picture, ReportTable, Section, table
 
-_ACROSS = 6  # small pictures side by side
+_ACROSS = 6  # number of small pictures side by side
 
 
 def headline(found: SessionCalibration) -> str:

@@ -44,7 +44,7 @@ def calibrated(options: CalibrateOptions, *, progress: ProgressArgument = SILENT
 
     Raises:
         BadInputError: session.toml is faulty, too few photographs could be read, or the steps contradict each other.
-            The readings are kept, and the report says how far the calibration came.
+            The readings are kept, and the report shows how far the calibration got.
     """
     session = load_photo_session(Path(options.path))
     for eye in session.eyes:  # refuse a faulty prescription before the photographs are read
@@ -71,7 +71,7 @@ def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
 
 
 def _save_refusal(refused: RefusedCalibrationError, session: PhotoSession, options: CalibrateOptions) -> None:
-    """Write the report of a refused calibration: its progress, and every exclusion."""
+    """Write the report of a refused calibration, with the completed steps and every exclusion."""
     folder, found, reading = output_folder(options.out), refused.found, refused.reading
     report = Report(
         f"Calibration of {session.device}, {' and '.join(session.eyes)} eye: refused",

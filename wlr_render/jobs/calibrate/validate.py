@@ -1,4 +1,4 @@
-"""`--validate`: refits that test the stated errors of a calibration, what to believe, and their table."""
+"""`--validate`: refits that test the stated errors of a calibration, with a verdict and a table."""
 
 import json
 from collections.abc import Mapping, Sequence

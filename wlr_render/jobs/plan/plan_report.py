@@ -15,7 +15,7 @@ from wlr_render.planning.search import DesignSearch
 from wlr_render.report.blocks import Block, Cell, Number, Plot, Report, ReportTable
 from wlr_render.report.plots import axis, curves
 
-_CELLS = 25  # cells of the map, across the eye box
+_CELLS = 25  # number of cells of the map across the eye box
 _FIGURES = ("median (arcmin)", "95 % (arcmin)")
 _WORTH = 0.05  # smallest share of the error removed by a change that the report names
 

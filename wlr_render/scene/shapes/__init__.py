@@ -1,1 +1,1 @@
-"""Procedural meshes: plain shapes, the sculpture, things around a desk, the dot board."""
+"""Procedural meshes: plain shapes, the sculpture, the dot board."""

@@ -1,10 +1,9 @@
-"""Procedural meshes: grids of points, revolved profiles, tubes, boxes, plain shapes in one colour, and the dot board.
+"""Procedural meshes: grids of points, boxes, plain shapes in one colour, a ball, and the dot board.
 
 Triangles run counter-clockwise seen from outside, normals point outwards, metres. A texture's uv is (0, 0) at its
 top-left corner.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,98 +44,11 @@ def _mesh(name: str, position: FloatArray, normal: FloatArray, triangles: NDArra
     return Mesh(name, position.astype(np.float32), unit.astype(np.float32), kept, uv=uv.astype(np.float32))
 
 
-def revolved(name: str, profile: FloatArray, segments: int = 64, smooth: bool = False) -> Mesh:
-    """Return the surface of revolution of a profile about the y axis.
-
-    Args:
-        name: name for messages.
-        profile: (n, 2) radius and height, listed from the top down on the outside, so that the outside is to its left.
-        segments: number of segments around the axis.
-        smooth: True for one rounded surface; otherwise the shading has an edge at each point of the profile.
-    """
-    if not smooth:
-        stretches = [revolved(name, profile[i : i + 2], segments, smooth=True) for i in range(len(profile) - 1)]
-        return merged(name, stretches)
-    angle = np.linspace(0, 2 * np.pi, segments + 1)
-    ring = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=-1)
-    up = np.array([0.0, 1.0, 0.0])
-    position = profile[:, None, :1] * ring + profile[:, None, 1:] * up
-    slope = np.gradient(profile, axis=0)
-    normal = -slope[:, None, 1:] * ring + slope[:, None, :1] * up
-    return from_grid(name, position, normal)
-
-
-def tube(name: str, path: FloatArray, radius: float, segments: int = 16) -> Mesh:
-    """Return a round tube along an open path (n, 3) in a plane z = constant."""
-    tangent = np.gradient(path, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    out = np.array([0.0, 0.0, 1.0])
-    side = np.cross(tangent, out)
-    angle = np.linspace(0, 2 * np.pi, segments + 1)[:, None, None]
-    normal = np.cos(angle) * side - np.sin(angle) * out
-    return from_grid(name, path + radius * normal, normal)
-
-
 def rectangle(name: str, width: float, height: float) -> Mesh:
     """Return a rectangle facing +z, centred at the origin, texture upright."""
     x, y = 0.5 * width, 0.5 * height
     position = np.array([[[-x, y, 0], [x, y, 0]], [[-x, -y, 0], [x, -y, 0]]])
     return from_grid(name, position, np.broadcast_to([0.0, 0.0, 1.0], position.shape))
-
-
-_FACES = {"front": (0, 0), "back": (0, 180), "right": (0, 90), "left": (0, -90), "top": (-90, 0), "bottom": (90, 0)}
-
-
-def cuboid(name: str, size: Sequence[float], faces: Sequence[str] = tuple(_FACES)) -> Mesh:
-    """Return a box with its origin in the middle of its bottom; each face carries the whole texture, upright.
-
-    Args:
-        name: name for messages.
-        size: width (x), height (y), depth (z).
-        faces: which of "front" (+z), "back", "right" (+x), "left", "top", "bottom" to make.
-    """
-    extent = dict(zip("xyz", size, strict=True))
-    parts = []
-    for face in faces:
-        about_x, about_y = np.deg2rad(_FACES[face])
-        flat, tall, out = "xzy" if about_x else "zyx" if face in ("left", "right") else "xyz"
-        panel = rectangle(name, extent[flat], extent[tall])
-        outward = moved(panel, translation=(0, 0, 0.5 * extent[out]))
-        parts.append(moved(turned(outward, about_x, about_y), translation=(0, 0.5 * extent["y"], 0)))
-    return merged(name, parts)
-
-
-def moved(mesh: Mesh, translation: Sequence[float]) -> Mesh:
-    """Return the mesh, shifted."""
-    return replace(mesh, position=(mesh.position + np.asarray(translation)).astype(np.float32))
-
-
-def turned(mesh: Mesh, about_x: float = 0.0, about_y: float = 0.0, about_z: float = 0.0) -> Mesh:
-    """Return the mesh, turned by angles in radians about z, then x, then y."""
-    rotation = turn(about_x, about_y, about_z)
-    position, normal = mesh.position @ rotation.T, mesh.normal @ rotation.T
-    return replace(mesh, position=position.astype(np.float32), normal=normal.astype(np.float32))
-
-
-def coloured(mesh: Mesh, colour: Colour) -> Mesh:
-    """Return the mesh with one linear RGB colour at all its vertices, so that it can be merged with others."""
-    return replace(mesh, vertex_colour=np.tile(np.array(colour, np.float32), (len(mesh.position), 1)))
-
-
-def merged(name: str, parts: Sequence[Mesh]) -> Mesh:
-    """Merge meshes into one with the material of the first; either all or none have vertex colours."""
-    starts = np.cumsum([0] + [len(part.position) for part in parts[:-1]])
-    shifted = [part.triangles + start for part, start in zip(parts, starts, strict=True)]
-    colours = [part.vertex_colour for part in parts if part.vertex_colour is not None]
-    return replace(
-        parts[0],
-        name=name,
-        position=np.concatenate([part.position for part in parts]),
-        normal=np.concatenate([part.normal for part in parts]),
-        triangles=np.concatenate(shifted).astype(np.uint32),
-        uv=np.concatenate([part.uv for part in parts if part.uv is not None]),
-        vertex_colour=np.concatenate(colours) if colours else None,
-    )
 
 
 def turn(about_x: float, about_y: float, about_z: float) -> FloatArray:
@@ -154,9 +66,25 @@ def plane(width_m: float = 1.0, height_m: float = 1.0, colour: Colour = (0.7, 0.
     return replace(rectangle("plane", width_m, height_m), base_colour=np.array(colour, np.float32))
 
 
+_FACES = ((0, 0), (0, 180), (0, 90), (0, -90), (-90, 0), (90, 0))
+"""Angles about x and y in degrees that turn a rectangle facing +z to a face of a box."""
+
+
 def box(size_m: Colour = (0.1, 0.1, 0.1), colour: Colour = (0.7, 0.7, 0.7)) -> Mesh:
-    """Return a box of width, height, depth, origin at the middle of its bottom."""
-    return replace(cuboid("box", size_m), base_colour=np.array(colour, np.float32))
+    """Return a box of width, height, depth, origin at the middle of its bottom; each face has the texture upright."""
+    half = 0.5 * np.asarray(size_m)
+    positions, normals, triangles = [], [], []
+    for number, (about_x, about_y) in enumerate(np.deg2rad(_FACES)):
+        rotation = turn(about_x, about_y, 0.0)
+        right, up, out = half @ np.abs(rotation)
+        face = rectangle("box", 2 * right, 2 * up)
+        positions.append((face.position + [0.0, 0.0, out]) @ rotation.T + [0.0, half[1], 0.0])
+        normals.append(face.normal @ rotation.T)
+        triangles.append(face.triangles + 4 * number)
+    position, normal = (np.concatenate(each).astype(np.float32) for each in (positions, normals))
+    uv = None if face.uv is None else np.tile(face.uv, (len(_FACES), 1))
+    index = np.concatenate(triangles).astype(np.uint32)
+    return Mesh("box", position, normal, index, np.array(colour, np.float32), uv)
 
 
 def sphere(radius_m: float = 0.05, colour: Colour = (0.7, 0.7, 0.7), segments: int = 64) -> Mesh:
