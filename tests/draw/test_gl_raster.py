@@ -4,7 +4,7 @@ import gl_scenes
 import numpy as np
 import pytest
 from gl_scenes import at, cube, quad, unlit, view
-from hardware import FILTER_WEIGHT, VERTEX_SNAP_PX, allowed, codes_of, snap_of
+from hardware import allowed, snap_of
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.geometry import directions, transforms
@@ -74,27 +74,6 @@ def test_the_nearer_cube_hides_the_farther_whichever_is_drawn_first(gl_context: 
     np.testing.assert_array_equal(frames[0].inverse_depth, frames[1].inverse_depth)
     centre = CAMERA.pixel_of_tangents(np.array([-0.1 / 1.5, 0.0])).astype(int)
     np.testing.assert_allclose(frames[0].inverse_depth[centre[1], centre[0]], 1 / 1.3, rtol=1e-6)
-
-
-def test_a_texture_is_upright_and_not_mirrored(gl_context: GlContext) -> None:
-    texture = np.zeros((2, 2, 3), np.uint8)
-    texture[0, 0], texture[0, 1], texture[1, 0] = [255, 0, 0], [0, 255, 0], [0, 0, 255]
-    # Two by two pixels whose centres are the texels' centres.
-    camera = Pinhole(2, 2, np.array([-0.5, -0.5]), np.array([0.5, 0.5]))
-    scene = unlit((quad((-0.5, -0.5), (0.5, 0.5), texture=texture), at(0, 0, -1)))
-    np.testing.assert_array_equal(GlRaster(gl_context, scene).draw(view(camera)).colour, texture)
-
-
-def test_textures_are_filtered_in_linear_light(gl_context: GlContext) -> None:
-    texture = np.zeros((1, 2, 3), np.uint8)
-    texture[0, 1] = 255
-    camera = Pinhole(9, 9, np.array([-0.5, -0.5]), np.array([0.5, 0.5]))
-    image = GlRaster(gl_context, unlit((quad((-0.5, -0.5), (0.5, 0.5), texture=texture), at(0, 0, -1)))).draw(
-        view(camera)
-    )
-    # The pixel is 2/9 of a texel; it shows half of the light, not half of the code value.
-    mixed = codes_of(np.array(0.5), FILTER_WEIGHT + VERTEX_SNAP_PX * 2 / 9)
-    assert abs(int(image.colour[4, 4, 0]) - float(srgb(0.5))) <= allowed(gl_context, 1.0, float(mixed))
 
 
 @pytest.mark.parametrize("side", [0.0, np.pi])

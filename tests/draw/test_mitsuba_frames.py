@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from gl_scenes import at, quad, shipped_scene, unlit
-from glb_writer import save_glb
 from present import narrowed, present
 from toy_headsets import LateralOffset
 
@@ -26,14 +25,13 @@ from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import Float32Array
 from wlr_render.numerics.srgb import decode_srgb, encode_srgb
 from wlr_render.scene.scene import LightSource, Mesh, Scene
-from wlr_render.scene.scene_file import load_scene
 from wlr_render.scene.shapes import construction
 
 BLACK = np.zeros(3, np.float32)
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def fan_of_rays(height: int = 200, width: int = 180) -> tuple[Float32Array, Float32Array]:
+def fan_of_rays(height: int = 100, width: int = 90) -> tuple[Float32Array, Float32Array]:
     """(height, width, 3) directions and (3,) origin: a view of the shipped scenes, and beyond their edges."""
     x, y = np.meshgrid(np.linspace(-0.75, 0.75, width), np.linspace(0.6, -0.9, height))
     direction = np.stack([x, y, -np.ones_like(x)], axis=-1)
@@ -85,34 +83,13 @@ def test_a_plane_under_the_sky_reflects_all_of_the_ambient_light(mitsuba: Module
     np.testing.assert_array_equal(light[:, 1:], np.broadcast_to(np.array(background, np.float32), (20_000, 2, 3)))
 
 
-@pytest.mark.slow
-def test_a_glb_is_traced_as_the_scene_that_it_was_written_from(mitsuba: ModuleType, tmp_path: Path) -> None:
-    scene = shipped_scene("sculpture")
-    written = load_scene(save_glb(scene, tmp_path / "scene.glb"))
-    shift = written.bounds.mean(axis=0) - scene.bounds.mean(axis=0)
-    light = replace(scene.lights[0], vector=scene.lights[0].vector + shift * (scene.lights[0].kind == "point"))
-    origin, direction = fan_of_rays(100, 90)
-    pictures = [
-        encode_srgb(PathTracer(with_one_light(each, lamp), 0).light(start, direction.reshape(-1, 3), 1)).astype(int)
-        for each, lamp, start in (
-            (scene, scene.lights[0], origin),
-            (written, light, (origin + shift).astype(np.float32)),
-        )
-    ]
-    assert (pictures[0].max(axis=-1) > 30).mean() > 0.05
-    assert (np.abs(pictures[1] - pictures[0]).max(axis=-1) > 2).mean() < 0.01
-
-
 def bright(**material: Any) -> Mesh:
     """A square whose base colour is 3."""
     return quad((-1, -1), (1, 1), base_colour=np.full(3, 3.0, np.float32), **material)
 
 
-@pytest.mark.parametrize("code", [255, 118])
-@pytest.mark.parametrize("colour", [1.0, 0.6])
-def test_albedo_is_the_product_of_all_three_colours_and_at_most_one(
-    mitsuba: ModuleType, code: int, colour: float
-) -> None:
+def test_albedo_is_the_product_of_all_three_colours_and_at_most_one(mitsuba: ModuleType) -> None:
+    code, colour = 118, 0.6
     texture, vertex = {"texture": np.full((2, 2, 3), code, np.uint8)}, {"vertex_colour": np.full((4, 3), colour, "f4")}
     texel, light = decode_srgb(texture["texture"]).max(), LightSource("directional", -UP, np.full(3, 0.4, np.float32))
     for material, product in (({}, 1), (texture, texel), (vertex, colour), (texture | vertex, texel * colour)):
@@ -121,13 +98,13 @@ def test_albedo_is_the_product_of_all_three_colours_and_at_most_one(
         np.testing.assert_allclose(found, 0.4 * min(1.0, 3 * product), rtol=1e-5)
 
 
-@pytest.mark.parametrize("bounces", [0, 1, 3])
+@pytest.mark.parametrize("bounces", [0, 3])
 def test_light_in_a_closed_sphere_is_that_of_an_integrating_sphere(mitsuba: ModuleType, bounces: int) -> None:
     """Every reflection adds the albedo's share of the one before, evenly over the sphere."""
     albedo, radius = 0.7, 2.0
     sphere = construction.sphere(radius, (albedo,) * 3, segments=96)
     scene = with_one_light(unlit((sphere, np.eye(4))), LightSource("point", np.zeros(3), np.full(3, 0.5, np.float32)))
-    direction = np.random.default_rng(2).normal(size=(60_000, 3)).astype(np.float32)
+    direction = np.random.default_rng(2).normal(size=(20_000, 3)).astype(np.float32)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     light = PathTracer(scene, bounces).light(np.full(3, 0.1, np.float32), direction, 3)
     expected = albedo * 0.5 / radius**2 * sum(albedo**k for k in range(bounces + 1))

@@ -321,15 +321,6 @@ def _moved(light: LightSource, moved: FloatArray) -> LightSource:
     return replace(light, vector=vector)
 
 
-def test_one_colour_everywhere_is_the_same_supersampled(toy_headset: Eye) -> None:
-    renderer = RayRenderer(unlit((quad((-9, -9), (9, 9), base_colour=np.array([0.2, 0.5, 0.7], "f4")), at(0, 0, -2))))
-    plain, fine = (TracedPainter(toy_headset, renderer, supersample=n) for n in (1, 3))
-    viewpoint = toy_headset.eye_box.centre
-    np.testing.assert_array_equal(
-        fine.paint(viewpoint, np.eye(4)).colour, plain.paint(viewpoint, np.eye(4), with_geometry=True).colour
-    )
-
-
 def test_an_edge_is_supersampled_in_linear_light_and_geometry_stays_the_centres(toy_headset: Eye) -> None:
     renderer = RayRenderer(unlit((quad((-9, -9), (0.02, 9)), at(0, 0, -2))))
     viewpoint = toy_headset.eye_box.centre

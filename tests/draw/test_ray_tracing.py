@@ -45,17 +45,6 @@ def test_rays_that_are_missing_show_the_background() -> None:
     assert np.isfinite(image.distance[9:]).all()
 
 
-def test_rays_are_requested_row_by_row() -> None:
-    renderer = RayRenderer(SCENE)
-    origin, direction = pinhole_rays()
-
-    def rays_of_rows(rows: slice) -> tuple[Float32Array, Float32Array]:
-        return origin[rows].reshape(-1, 3), direction[rows].reshape(-1, 3)
-
-    asked = renderer.render_blocks(direction.shape[:2], rays_of_rows)
-    np.testing.assert_array_equal(asked.colour, renderer.render_rays(origin, direction).colour)
-
-
 def test_pixels_that_differ_become_means_in_linear_light() -> None:
     white = quad((-9, -9), (0, 9), base_colour=np.ones(3, np.float32))
     renderer = RayRenderer(unlit((white, at(0, 0, -2)), background=(0.1, 0.2, 0.4)))

@@ -46,16 +46,6 @@ def test_the_identity_changes_no_bit(channels: int | None, kind: type[number]) -
     assert inside.all()
 
 
-def test_one_pixel_to_the_right_and_two_down() -> None:
-    image = image_of(9, 11, 3, np.float32)
-    sampled, inside = remap(image, centres(9, 11) + [1, 2], background=-1)
-    np.testing.assert_array_equal(sampled[:-2, :-1], image[2:, 1:])
-    assert inside[:-2, :-1].all()
-    assert not inside[-2:].any()
-    assert not inside[:, -1].any()
-    np.testing.assert_array_equal(sampled[~inside], -1)
-
-
 @pytest.mark.parametrize(("kind", "tolerance"), [(np.float32, 1e-6), (np.uint8, 0.51)])
 @pytest.mark.parametrize("channels", [None, 3])
 def test_bilinear_is_the_plain_one(kind: type[number], tolerance: float, channels: int | None) -> None:

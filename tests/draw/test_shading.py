@@ -102,15 +102,6 @@ def picture(height: int = 4, width: int = 8, seed: int = 0) -> NDArray[np.uint8]
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.uint8)
 
 
-def test_texture_is_upright_and_its_texel_centres_are_exact() -> None:
-    texture = picture()
-    wall = quad((-4, -2), (4, 2), texture=texture)
-    u, v = np.meshgrid(np.arange(8) + 0.5, np.arange(4) + 0.5)
-    rays = np.stack([u - 4, 2 - v, -2 + 0 * u], axis=-1).reshape(-1, 3)
-    seen = colour_seen(scene_of((wall, at(0, 0, -2)), ambient=1.0), rays)
-    np.testing.assert_allclose(seen, decode_srgb(texture).reshape(-1, 3), atol=1e-5)
-
-
 def bilinear_texture(texture: NDArray[np.uint8], uv: FloatArray) -> FloatArray:
     """Plain bilinear lookup of a repeated texture in linear light."""
     height, width = texture.shape[:2]

@@ -37,6 +37,7 @@ def eye_sides(eye: Eye) -> tuple[Any, Any]:
     return eye.display, eye.see_through
 
 
+@lru_cache
 def view_of(device: str) -> ExportedView:
     eye = fitted_eye("birdbath28" if device == "tilted planes" else device, 5)
     if device == "tilted planes":  # the same polynomials of points on other planes
@@ -58,19 +59,17 @@ def sanitizers(compiler: str, folder: Path) -> list[str]:
     return CHECKED if compiled and subprocess.run([str(made)], capture_output=True).returncode == 0 else []
 
 
-@pytest.fixture(scope="module", params=["c99", "c++11"])
-def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
-    compiler = "cc" if request.param == "c99" else "c++"
-    if not shutil.which(compiler):
-        pytest.skip("needs a C++ compiler (c++)")
-    folder = tmp_path_factory.mktemp(compiler)
+def compiled(compiler: str, language: str, standard: str, folder: Path) -> str:
     list(CModel().write([view_of("northstar")], folder))
     source = shutil.copy(Path(__file__).with_name("c_answers.c"), folder)
-    language = ["-x", "c++"] if compiler == "c++" else []
-    checked = sanitizers(compiler, folder)
-    command = [compiler, f"-std={request.param}", *checked, f"-I{folder}", *language, str(source), "-x", "none"]
-    subprocess.run([*command, *STRICT, "-o", str(folder / "answers")], check=True)
+    command = [compiler, f"-std={standard}", *sanitizers(compiler, folder), f"-I{folder}", "-x", language, str(source)]
+    subprocess.run([*command, "-x", "none", *STRICT, "-o", str(folder / "answers")], check=True)
     return str(folder / "answers")
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return compiled("cc", "c", "c99", tmp_path_factory.mktemp("c"))
 
 
 @pytest.fixture(params=[*DEVICES, "tilted planes"])
@@ -111,6 +110,16 @@ def test_rays_are_those_of_python(program: str, model: tuple[ExportedView, Path]
         np.testing.assert_array_equal(got[:, 7], np.maximum(shown.status, due.status))
         assert Status.OUTSIDE_FIT in got[:, 7] or reach == 1.0
     assert Status.OK in got[:, 7] or reach > 1.0
+
+
+@pytest.mark.skipif(not shutil.which("c++"), reason="needs a C++ compiler (c++)")
+def test_the_header_is_also_cpp(program: str, tmp_path: Path) -> None:
+    path = tmp_path / "right.wlr"
+    path.write_bytes(content("northstar"))
+    other = compiled("c++", "c++", "c++11", tmp_path)
+    for viewpoint, pixel in places(view_of("northstar"), 1.5, 0.1):
+        ours, theirs = (table(answers(each, path, "rays", viewpoint, pixel)) for each in (program, other))
+        np.testing.assert_allclose(theirs, ours, rtol=1e-12)
 
 
 def test_pixels_of_points_are_those_of_python(program: str, model: tuple[ExportedView, Path]) -> None:

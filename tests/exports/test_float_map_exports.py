@@ -37,15 +37,6 @@ def test_openimageio_reads_the_channels_in_order(
     np.testing.assert_array_equal(read[..., :2], view.source_px("all"))
 
 
-def test_pfm_has_the_bottom_row_first(view: ExportedView, tmp_path: Path) -> None:
-    path, _ = FloatMap("pfm").write([view], tmp_path)
-    kind, size, scale, values = path.read_bytes().split(b"\n", 3)
-    assert (kind, size) == (b"PF", b"180 200")
-    assert float(scale) < 0  # little endian
-    rows = np.frombuffer(values, "<f4").reshape(200, 180, 3)
-    np.testing.assert_array_equal(rows[::-1, :, :2], view.source_px("all"))
-
-
 def test_third_channel_is_the_inverse_depth(near_view: ExportedView, view: ExportedView, tmp_path: Path) -> None:
     for chosen, expected in ((view, 0.0), (near_view, 2.0)):
         path, _ = FloatMap("tiff").write([chosen], tmp_path)

@@ -33,7 +33,6 @@ def rms(difference: FloatArray) -> float:
 @pytest.mark.parametrize(
     ("device", "axes", "camera", "depth_m"),
     [
-        ("northstar", "field", "viewpoint", None),
         ("freeform40", "device", "viewpoint", None),
         ("birdbath28", "field", "nearest", 0.5),
     ],

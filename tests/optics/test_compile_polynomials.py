@@ -19,7 +19,7 @@ from wlr_render.optics.device import ClearAperture, EyeOptics, PlacedSurface
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 
-PLACE = 0.008  # metres to each side of the middle of the eye box
+PLACE = 0.004  # metres to each side of the middle of the eye box
 ERRORS = 0.3 * ASSEMBLY_SIZES * np.where(np.arange(12) % 2, -1.0, 1.0)
 
 
@@ -28,10 +28,10 @@ def eye(name: str) -> tuple[EyeOptics, BasePlane]:
     return optics, BasePlane(float(optics.eye_box.centre[2]) - 0.001, (0.1, -0.2))
 
 
-def display_box(optics: EyeOptics, margin: float = 0.1) -> Box:
-    """The panel without a margin, of its size."""
+def display_box(optics: EyeOptics, place_m: float = PLACE) -> Box:
+    """The panel without a tenth on each side."""
     size, middle = optics.panel.pixels.size_px, optics.eye_box.centre[:2]
-    return Box(np.append(margin * size, middle - PLACE), np.append((1.0 - margin) * size, middle + PLACE))
+    return Box(np.append(0.1 * size, middle - place_m), np.append(0.9 * size, middle + place_m))
 
 
 def see_through_box(optics: EyeOptics) -> Box:
@@ -89,7 +89,7 @@ def test_a_device_without_optics_compiles_to_no_deviation() -> None:
 
 def test_orders_grow_only_as_far_as_the_optics_need() -> None:
     optics, plane = eye("birdbath28")
-    wide = display_box(optics)
+    wide = display_box(optics, 0.008)
     low, high = (0.7 * edge + 0.3 * 0.5 * (wide.low + wide.high) for edge in (wide.low, wide.high))
     small, large = (compile_display(optics, np.zeros(12), plane, box) for box in (Box(low, high), wide))
     assert small.rms_arcmin < GOAL_ARCMIN

@@ -5,12 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from present import narrowed
-from scipy.optimize import minimize
 
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.glass_files import shipped_glasses
-from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.raised import FormError, Offset, raised
 from wlr_render.optics.sag_surfaces import (
     AnamorphicAsphere,
@@ -220,28 +217,3 @@ def test_offset_points_lie_at_exactly_the_distance() -> None:
     assert hits.converged.all()
     np.testing.assert_allclose(hits.distance[1], length, atol=1e-15)
     np.testing.assert_allclose(offset.normal(point), normal, atol=1e-14)
-
-
-def test_offset_is_the_nearest_distance_to_its_base() -> None:
-    axes = np.array([0.1, 0.12, 0.16])
-    offset = Offset(Ellipsoid(axes), 0.003)
-    origin, direction = np.zeros((3, 1)), np.array([[0.6], [0.48], [0.64]])
-    point = (origin + offset.meet(origin, direction).distance[1] * direction)[:, 0]
-
-    def distance(angles: FloatArray) -> float:
-        polar, azimuth = angles
-        unit = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
-        return float(np.linalg.norm(axes * unit - point))
-
-    assert minimize(distance, [0.9, 0.7], tol=1e-12).fun == pytest.approx(0.003, abs=1e-12)
-
-
-def test_pmma_has_the_published_indices() -> None:
-    pmma = shipped_glasses()["pmma_sultanova_2009"]
-    assert [round(pmma.index(um), 5) for um in (0.45, 0.55, 0.65)] == [1.50061, 1.49259, 1.48809]
-    assert pmma.index(0.5876) == pytest.approx(1.4906, abs=5e-4)  # refractiveindex.info lists 1.4906 there
-
-
-def test_constant_media() -> None:
-    assert AIR.index(0.55) == 1.0
-    assert Medium.constant("glass", 1.5).index(0.4) == pytest.approx(1.5, abs=1e-15)

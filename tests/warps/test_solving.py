@@ -79,25 +79,6 @@ def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(
     assert np.abs(made.compose().read().astype(int) - cold.compose().read()).max() <= 1
 
 
-@pytest.mark.slow
-@pytest.mark.gl
-def test_the_frame_after_a_saccade_is_a_cold_one(compositor: Callable[..., Any], headset: Eye) -> None:
-    warm, cold = (compositor(headset) for _ in range(2))
-    before = headset.eye_box.centre - [0.0025, 0.001, 0.0]
-    after = before + [0.005, 0.0, 0.0]
-    draw(warm, SceneSource(warm, scene()), HEAD, before)
-    warm.compose()
-    frames = []
-    for made in (warm, cold):
-        draw(made, SceneSource(made, scene()), HEAD, after)
-        frames.append(made.compose())
-    there, wanted = map(slope_offset, frames)
-    assert np.isfinite(there).all()
-    np.testing.assert_array_equal(there, wanted)
-    np.testing.assert_array_equal(frames[0].read(), frames[1].read())
-    assert frames[0].unsolved() == frames[1].unsolved()
-
-
 @dataclass(frozen=True)
 class Troubled:
     """A display whose solve fails in the panel's left quarter, and everywhere for a pupil far to the right."""

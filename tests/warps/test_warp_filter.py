@@ -76,14 +76,6 @@ def test_more_samples_reduce_aliasing(
     assert energy(samples_for(times)) * gain < energy(1)
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.25, 0.37])
-def test_stripes_of_one_pixel_keep_their_light(gl_context: GlContext, phase: float) -> None:
-    stripes = np.broadcast_to(255.0 * (np.arange(360) % 2), (360, 360))
-    result = warped(gl_context, picture_of(stripes), CAMERA, [shrinking(2, phase)], samples_per_axis=samples_for(2))
-    light = decode_srgb(result.colour[2:-2, 2:-2])
-    np.testing.assert_allclose(light, 0.5, atol=0.01)
-
-
 def test_more_samples_do_not_change_linear_pictures_or_holes(gl_context: GlContext) -> None:
     ramp = np.add.outer(0.3 * np.arange(360), 0.4 * np.arange(360))
     slope_offset = shrinking(2)
