@@ -1,4 +1,4 @@
-"""Errors of a workshop that show in captures alone: bumped visits, and noise that is heavy-tailed and correlated."""
+"""Errors of a workshop that only captures show: bumped visits, and noise that is heavy-tailed and correlated."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -10,14 +10,14 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.workshop import PICTURE, SWITCHES, TAIL_DEGREES, Workshop, radius_of, rms, student
 
 OF_NOISE = ("tails", "vignetting", "neighbours", "gross")
-"""Imperfections of the readings' noise."""
+"""Names of the imperfections of the readings' noise."""
 LAB_SWITCHES = (*SWITCHES, "bumped", *OF_NOISE)
 """Names of all imperfections."""
-# Noise: assumptions
-_CORRELATED = 0.5  # part of the noise's variance that neighbours share
-_KERNEL_SPACINGS = 2.5  # radius of the kernel, in distances of neighbouring readings
+# Assumptions about noise
+_CORRELATED = 0.5  # share of the noise variance that neighbouring readings have in common
+_KERNEL_SPACINGS = 2.5  # radius of the kernel over the distance of neighbouring readings
 _GROSS, _GROSS_CLUSTER, _GROSS_SIGMAS = 0.01, 5, (5.0, 20.0)
-_RIM_STEEPNESS = 6  # power of the radius by which clusters of gross readings crowd at the rim
+_RIM_STEEPNESS = 6  # power of the radius in the density of clusters of gross errors, which crowd at the rim
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class LabWorkshop(Workshop):
     KNOWN: ClassVar[tuple[str, ...]] = LAB_SWITCHES
 
     def bumps(self, count: int) -> FloatArray:
-        """Return displacements (count, 3) of one or two bumped visits, metres; 0 for the others."""
+        """Return displacements (count, 3) of one or two bumped visits, metres; 0 for other visits."""
         rng = self._rng("bumped")
         shift, bumped = np.zeros((count, 3)), rng.permutation(count)[: rng.integers(1, 3)]
         direction = rng.standard_normal((len(bumped), 3))
@@ -43,7 +43,7 @@ class LabWorkshop(Workshop):
         return shift
 
     def noise(self, unit: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return the noise (n, 2) of the readings of one photograph, in units of its rms over the picture.
+        """Return the noise (n, 2) of the readings of one photograph, relative to its rms over the picture.
 
         Args:
             unit: (n, 2) image positions in half diagonals of the picture.

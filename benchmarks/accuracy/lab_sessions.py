@@ -1,4 +1,4 @@
-"""Predicted and true errors of fits to sessions of labs, see `lab_captures`."""
+"""Predicted and true errors of fits to lab sessions, see `lab_captures`."""
 
 import time
 from collections import defaultdict
@@ -25,7 +25,7 @@ from wlr_render.report.blocks import Cell, ReportTable
 
 SIDES = ("display", "see-through")
 SHARES = (0.68, 0.95)
-_FEW, _MANY = 25, 49  # camera positions
+_FEW, _MANY = 25, 49  # numbers of camera positions
 _STATEMENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "own part": (SHARED, ()),
     "shared errors stated": ((), SHARED),
@@ -36,7 +36,7 @@ _PLACES: tuple[Places, ...] = ("raster", "planned")
 
 @dataclass(frozen=True)
 class LabTrial(Trial):
-    """One session of a lab, and the fit to it; the seed of the session is the study's plus `repeat`.
+    """One lab session, and the fit to it; its seed is the study's seed plus `repeat`.
 
     Attributes:
         level, places, stated: see `lab_captures`.
@@ -92,11 +92,11 @@ class LabTrial(Trial):
 
 
 def _figures(fit: AnyFit, truth: LabTruth, error: FloatArray, sigma: FloatArray) -> dict[str, float]:
-    """Return true and predicted rms (arcmin), parts within the intervals, and counts of captures found to be moved."""
+    """Return true and predicted rms (arcmin), shares within the intervals, and counts of captures found to be moved."""
     known = np.isfinite(error) & np.isfinite(sigma)
     error, sigma = error[known], sigma[known]
     figures = {"true": float(np.sqrt(np.mean(error**2))), "predicted": float(np.sqrt(np.mean(sigma**2)))}
-    for share in SHARES:  # sigma is the rms over both axes of an angle
+    for share in SHARES:  # sigma is the rms angle over both axes
         figures[f"in {100 * share:g} %"] = float(np.mean(error < sigma * np.sqrt(0.5 * chi2.ppf(share, 2))))
     accused = [np.flatnonzero(fit.captures.visits[1] == each.capture)[0] for each in fit.smooth.moved]
     bumped = [
@@ -107,7 +107,7 @@ def _figures(fit: AnyFit, truth: LabTruth, error: FloatArray, sigma: FloatArray)
 
 
 def labs(study: Study, sessions: int) -> Findings:
-    """Honest predictions in sessions whose imperfections have other function classes than the models."""
+    """Compare predictions with errors in sessions with imperfections of other function classes than the models."""
     rows: list[list[Cell]] = []
     groups: dict[tuple[Cell, ...], list[dict[str, float]]] = defaultdict(list)
     for eye, trial in _trials(study.eyes):
@@ -162,7 +162,7 @@ def _summary(groups: dict[tuple[Cell, ...], list[dict[str, float]]]) -> list[lis
 
 
 def _trials(eyes: Sequence[EvaluatedEye]) -> list[tuple[EvaluatedEye, LabTrial]]:
-    """White noise only; half the imperfections; all of them, with 25 and 49 camera positions."""
+    """Return trials with white noise only; with half the imperfections; with all, at 25 and 49 camera positions."""
     kinds: list[tuple[float, int, tuple[str, ...], tuple[str, ...]]] = [(0.0, _FEW, (), ())]
     for (level, count), (off, stated) in product(((0.5, _FEW), (1.0, _FEW), (1.0, _MANY)), _STATEMENTS.values()):
         kinds += [(level, count, off, stated), (level, count, (*off, "neighbours"), stated)]

@@ -1,4 +1,4 @@
-"""Statements of a lab about its errors: common errors and motions with sizes within 10 % of the true ones."""
+"""Statements of a lab about its errors: common errors and motions, with sizes within 10 % of the true sizes."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -16,9 +16,9 @@ from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.workshop import ARM_M, SHIFT_UM, WOBBLE_URAD, Workshop
 
 SHARED = ("lens", "pupil", "bow", "abbe")
-"""Errors that all captures share, and that a lab can state."""
+"""Names of the errors that all captures share and a lab can state."""
 _WITHIN = 0.1  # relative error of a stated size
-_COUNTS = {"lens": 9, "pupil": 1, "bow": 3, "abbe": 12}  # variables of each source
+_COUNTS = {"lens": 9, "pupil": 1, "bow": 3, "abbe": 12}  # number of variables of each source
 _LENS_ORDERS = np.array([(i, j) for i in range(8) for j in range(8 - i)])
 
 
@@ -37,7 +37,7 @@ def with_motion(captures: Captures, level: float, rng: np.random.Generator) -> C
 def with_common(
     captures: Captures, setup: CaptureSetup, workshop: Workshop, named: Collection[str], rng: np.random.Generator
 ) -> Captures:
-    """State errors that all captures share, some of `SHARED`, by the terms that a lab would use."""
+    """State errors that all captures share, some of `SHARED`, in terms that a lab would use."""
     factors = dict(zip(SHARED, rng.uniform(1.0 - _WITHIN, 1.0 + _WITHIN, len(SHARED)), strict=True))
     statement = _Statement(setup, workshop, {name: float(factors[name]) for name in named})
     display, see_through = captures.both
@@ -52,7 +52,7 @@ class _Statement:
 
     Attributes:
         setup, workshop: the bench.
-        factors: stated over true size, by source.
+        factors: ratio of stated to true size, by source.
     """
 
     setup: CaptureSetup
@@ -98,18 +98,18 @@ class _Statement:
 
     @property
     def _pupil_shift(self) -> FloatArray:
-        """Change (n, 2) of the tangents of a point at a distance of 1 m by the travel of the pupil."""
+        """Change (n, 2) of the tangents of a point 1 m away due to the pupil's travel."""
         return np.asarray(self.workshop.pupil_m(self._unit)[:, None] * self._unit * self._camera.half_diagonal)
 
     @property
     def _pupil_slope(self) -> FloatArray:
-        """Relative change (p,) of the tangents at each pose by the travel of the pupil, less that at the mean pose."""
+        """Relative change (p,) of the tangents at each pose due to the pupil's travel, less that at the mean pose."""
         square = np.sum(self._unit**2, axis=1)
         travel = float(np.sum(self.workshop.pupil_m(self._unit) * square) / np.sum(square))
         return np.asarray(travel * (1.0 / np.array(self.setup.target_depths_m) - self._mean_inverse_m))
 
     def _panel_by_pupil(self) -> FloatArray:
-        """Return the change (n, 2) of the tangents of the panel's pixels by the travel of the pupil."""
+        """Return the change (n, 2) of the tangents of the panel's pixels due to the pupil's travel."""
         eye, view_dir, rotation = self.setup.truth, self.setup.camera_dirs(), self._camera.device_from_camera
         pixel = eye.display.pixel_of_view_dir(view_dir, eye.eye_box.centre).value
         along = -self.workshop.pupil_m(self._unit)[:, None] * rotation[:, 2]
@@ -127,7 +127,7 @@ class _Statement:
 
 
 def _lens_terms(workshop: Workshop, unit: FloatArray) -> FloatArray:
-    """Return tangential, prism and radial terms (n, 2, 9) of the lens, in half diagonals, together of the true rms."""
+    """Return tangential, prism and radial terms (n, 2, 9) of the lens, in half diagonals, with the true total rms."""
     (x, y), square = unit.T, np.sum(unit**2, axis=1)
     zero = np.zeros_like(x)
     terms = [(2 * x * y, square + 2 * y * y), (square + 2 * x * x, 2 * x * y)]
@@ -139,7 +139,7 @@ def _lens_terms(workshop: Workshop, unit: FloatArray) -> FloatArray:
 
 
 def _bow_terms(workshop: Workshop, board: LabBoard) -> FloatArray:
-    """Return the change (p, 7, 3, 3) of each pose's points, see `CommonErrors`, by three quadratic heights."""
+    """Return the change (p, 7, 3, 3) of each pose's points due to three quadratic heights, see `CommonErrors`."""
     dots = board.dots(0)
     rms = np.sqrt(np.mean(workshop.height_m(dots[:, :2] / board.half_m) ** 2))
     x, y = (dots[:, :2] / board.half_m).T
@@ -154,7 +154,7 @@ def _bow_terms(workshop: Workshop, board: LabBoard) -> FloatArray:
 
 
 def _abbe_terms(workshop: Workshop, reading: FloatArray) -> FloatArray:
-    """Return motions (m, 6, 12): each rotation, linear and quadratic in the readings of x and y, of the true rms."""
+    """Return motions (m, 6, 12): each rotation, linear and quadratic in the readings of x and y, with the true rms."""
     turn = workshop.only("abbe").stage_motion(reading, np.ones_like(reading))[:, :3]
     modes = np.column_stack([reading[:, :2], reading[:, :2] ** 2 - np.mean(reading[:, :2] ** 2, axis=0)])
     modes = modes / np.maximum(np.sqrt(np.mean(modes**2, axis=0) * modes.shape[1]), 1e-12)

@@ -1,4 +1,4 @@
-"""Sessions of labs whose errors have other function classes than the models that are fitted: captures and truth.
+"""Lab sessions with errors of other function classes than the fitted models: captures and truth.
 
 captures, truth = lab_captures("northstar", level=1.0, seed=3, stated=())
 """
@@ -22,8 +22,8 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 Places = Literal["raster", "planned"]
 DEPTHS_M, GRID = (0.6, 1.0, 1.7), (22, 18)
 NOISE_ARCMIN = (0.25, 1.0)
-"""Range of the noise of a reading, log-uniform."""
-_JITTER = 0.1  # largest shift of planned positions, in halves of their range, as `plan` proposes
+"""Range of the noise of a reading, drawn log-uniformly."""
+_JITTER = 0.1  # largest shift of planned positions over half their range, as `plan` proposes
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +31,9 @@ class LabTruth:
     """The truth of a session.
 
     Attributes:
-        workshop: its errors.
+        workshop: errors of the bench.
         shown, seen: exact observations from random viewpoints in the eye box.
-        bumped: numbers of the camera positions at which the camera was bumped, in the first sweep.
+        bumped: numbers of the camera positions at which the camera was bumped in the first sweep.
     """
 
     workshop: LabWorkshop
@@ -55,7 +55,7 @@ def lab_captures(
     noise_arcmin: float | None = None,
     eye_box_mm: tuple[float, float, float] = (10.0, 8.0, 6.0),
 ) -> tuple[Captures, LabTruth]:
-    """Simulate one session of a lab.
+    """Simulate one lab session.
 
     Args:
         device: a shipped device or a device file.

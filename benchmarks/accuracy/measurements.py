@@ -55,7 +55,7 @@ def camera_positions(study: Study, counts: Sequence[int]) -> Findings:
 
 
 def display(study: Study) -> Findings:
-    """Measure the direction of a pixel: nominal field, whole panel, fewer camera positions, and other models."""
+    """Measure the direction of a pixel: in the nominal field, over the panel, with few positions, by other models."""
     designs = [
         ("planar", "nominal field", False, POSITIONS, wanted.DISPLAY),
         ("planar", "whole panel", True, POSITIONS, wanted.WHOLE_PANEL),
@@ -95,7 +95,7 @@ def see_through(study: Study) -> Findings:
 
 
 def stage(study: Study) -> Findings:
-    """Honest predictions with errors of the stage: display and see-through."""
+    """Compare predicted with true errors of display and see-through, with errors of the stage."""
     rows: list[list[Cell]] = []
     models = (("display", DisplayTrial, Measure.FORWARD), ("see-through", SeeThroughTrial, Measure.REAL_POINT))
     for (name, kind, measure), eye, (shift, turn) in product(models, study.eyes, STAGES_UM_URAD):
@@ -125,7 +125,7 @@ def tracking(study: Study) -> Findings:
 
 
 def prescribed(study: Study) -> Findings:
-    """Compare models that use a prescription that differs from the headset with a model that uses none."""
+    """Compare models that use a prescription differing from the headset with a model that uses none."""
     rows: list[list[Cell]] = []
     for eye, (positions, noise, shape, goal), kind in product(study.eyes, wanted.GREY_BOX, _PRESCRIBED):
         errors = {"camera_noise_arcmin": noise, "shape": shape}
@@ -141,7 +141,7 @@ def prescribed(study: Study) -> Findings:
 
 
 def time(study: Study) -> Findings:
-    """Process time of display fits."""
+    """Measure the process time of display fits."""
     rows: list[list[Cell]] = []
     for eye, (positions, goal) in product(study.eyes, wanted.FIT_SECONDS.items()):
         trial = trial_at(DisplayTrial, eye, "planar", None, positions, camera_noise_arcmin=STAGE_NOISE_ARCMIN)
@@ -153,7 +153,7 @@ def time(study: Study) -> Findings:
 
 
 def stuck(study: Study, draws: int) -> Findings:
-    """Fits in a wrong maximum of the evidence, among many draws."""
+    """Count fits in a wrong maximum of the evidence, among many draws."""
     shift, turn = STUCK_STAGE
     errors = {"stage_error_mm": 1e-3 * shift, "stage_turn_urad": turn, "camera_noise_arcmin": STAGE_NOISE_ARCMIN}
     rows: list[list[Cell]] = []
@@ -183,7 +183,7 @@ def _goal(goals: Mapping[str, Mapping[float, float]], eye: EvaluatedEye, noise_a
 
 
 def _errors(draws: Sequence[Outcome], measure: str, goal: float | None) -> list[Cell]:
-    """Cells of `_ERROR_COLUMNS`."""
+    """Return the cells of `_ERROR_COLUMNS`."""
     rms = [each.rms(measure) for each in draws]
     standard_error = float(np.std(rms, ddof=1) / np.sqrt(len(rms))) if len(rms) > 1 else None
     predicted = pooled(draws, Measure.PREDICTED)
@@ -191,7 +191,7 @@ def _errors(draws: Sequence[Outcome], measure: str, goal: float | None) -> list[
 
 
 def _found(draws: Sequence[Outcome]) -> list[Cell]:
-    """Cells of `_FOUND_COLUMNS`: root mean squares over the draws."""
+    """Return the cells of `_FOUND_COLUMNS`: root mean squares over the draws."""
     found = [outcome.found or FoundBench(np.nan, np.nan, np.nan) for outcome in draws]
     values = [[each.noise_arcmin, each.repeatability_um, each.wobble_urad] for each in found]
     return [float(each) for each in np.sqrt(np.mean(np.square(values), axis=0))]

@@ -1,4 +1,4 @@
-"""Trials of models that know the prescription of a headset that differs from it."""
+"""Trials of models that use the prescription of a headset that differs from it."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -37,7 +37,7 @@ class PrescribedTrial(DisplayTrial):
     """A trial of display and see-through of a headset whose parts are displaced.
 
     Attributes:
-        turn_deg, shift_mm: standard deviations of the displacements, which each repetition draws anew.
+        turn_deg, shift_mm: standard deviations of the displacements, drawn anew for each repetition.
         shape: relative error of one semi-axis or curvature of each surface, see `wrong_headset`.
     """
 
@@ -47,7 +47,7 @@ class PrescribedTrial(DisplayTrial):
 
     @property
     def has_random_errors(self) -> bool:
-        """Repetitions differ in the displacements."""
+        """True: repetitions differ in the displacements."""
         return True
 
     def run(self, seed: int) -> Outcome:
@@ -89,7 +89,7 @@ def _bench(
 def _observations(
     setup: CaptureSetup, seed: int
 ) -> tuple[mapping_error.DisplayObservations, mapping_error.SeeThroughObservations]:
-    """Directions in the captured field, and real points in them, from random viewpoints."""
+    """Return directions in the captured field, and real points in these directions, from random viewpoints."""
     rng = np.random.default_rng(seed)
     viewpoint = viewpoints.random_in_eye_box(setup.truth.eye_box, TEST_VIEWPOINTS, rng)[:, None]
     view_dir = setup.camera_dirs()[rng.integers(0, len(setup.camera_dirs()), (TEST_VIEWPOINTS, TEST_RAYS))]

@@ -61,7 +61,7 @@ class AccuracyOptions(StudyOptions):
 
 
 def run(options: AccuracyOptions = AccuracyOptions(), *, progress: ProgressArgument = SILENT) -> Report:
-    """Measure; writes accuracy.html, .md and .json.
+    """Measure; write accuracy.html, .md and .json.
 
     Raises:
         BadInputError: see `run_study`.

@@ -1,4 +1,4 @@
-"""Figures that the fits of the shipped devices are to reach, rms in arcminutes."""
+"""Goals for fits of the shipped devices, rms in arcminutes."""
 
 EXACT, FINE, COARSE = 0.0, 0.25, 1.0
 """Camera noise in arcminutes per axis."""
@@ -30,9 +30,9 @@ GREY_BOX = (
     (5, FINE, 0.002, 0.04),
     (25, COARSE, 0.0, 0.05),
 )
-"""Camera positions, noise, relative error of the shape, and the direction of a pixel in the nominal field."""
+"""Camera positions, noise, relative error of the shape, and goal for the direction of a pixel in the nominal field."""
 PREDICTED_OVER_TRUE = (0.8, 1.25)
 FIT_SECONDS = {25: 3.0, 190: 10.0}
-"""Time of a display fit on one core by number of camera positions: 13,000 and 100,000 readings."""
+"""Goal for the time of a display fit on one core, by number of camera positions: 13,000 and 100,000 readings."""
 STUCK_FACTOR = 2.0
-"""A fit whose repeatability or wobble is off by more is in a wrong maximum of the evidence."""
+"""Factor: a fit with repeatability or wobble off by more is in a wrong maximum of the evidence."""
