@@ -1,4 +1,4 @@
-"""Captures on a bench with the errors of a `LabWorkshop`, and all that a lab records of them.
+"""Captures on a bench with the errors of a `LabWorkshop`, with all data that a lab records.
 
 A session is a sweep over the camera positions for each pose of one printed board; in the first sweep the panel is
 decoded as well. The camera looks at the middle of the display's field; the stage moves along the axes of the device.
@@ -20,10 +20,10 @@ from wlr_render.simulation.capture_setup import LEAST_SIGMA_ARCMIN, CaptureSetup
 from wlr_render.simulation.workshop import Workshop, travel_of
 
 HALF_DIAGONAL_PX = 1600.0
-"""Half the diagonal of the camera's picture, which reaches to the corners of the display's field: 5 megapixels."""
-_PANEL_S, _BOARD_S = 15.0, 10.0  # seconds of the panel's code, and of a move and a photograph of the board
-_LARGEST_BOARD_M = np.array([1.189, 0.841])  # A0
-_TILTS_DEG = np.array([[4.0, -6.0, 1.0], [-5.0, 4.0, -2.0], [6.0, 5.0, 3.0]])  # boards set up by eye
+"""Half the diagonal of the camera's picture, 5 megapixels, which reaches to the corners of the display's field."""
+_PANEL_S, _BOARD_S = 15.0, 10.0  # seconds for the panel's code, and for a move and a photograph of the board
+_LARGEST_BOARD_M = np.array([1.189, 0.841])  # size of A0 paper
+_TILTS_DEG = np.array([[4.0, -6.0, 1.0], [-5.0, 4.0, -2.0], [6.0, 5.0, 3.0]])  # tilts of boards that are set up by eye
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +31,8 @@ class LabCamera:
     """The camera as the lab states it.
 
     Attributes:
-        device_from_camera: (3, 3) rotation; axes of OpenXR, looking along -z at the middle of the display's field.
-        half_diagonal: tangent of the field's farthest corner from the camera's axis.
+        device_from_camera: (3, 3) rotation; the camera has OpenXR's axes, and looks along -z at the field's middle.
+        half_diagonal: tangent of the angle between the camera's axis and the field's farthest corner.
     """
 
     device_from_camera: FloatArray
@@ -63,7 +63,7 @@ class LabSweep:
 
     Attributes:
         setup: the bench.
-        workshop: its errors.
+        workshop: errors of the bench.
         viewpoint: (m, 3) positions in the order of the visits, as the lab states them.
         number: number of the sweep, and of the board's pose.
         motion: (m, 6) true rotation (rad) and displacement (m) of the camera at each visit, device frame.
@@ -106,7 +106,7 @@ class LabSweep:
         return self.time_s / (len(self.viewpoint) * (_PANEL_S + len(self.setup.target_depths_m) * _BOARD_S))
 
     def _image_error(self, unit: FloatArray) -> FloatArray:
-        """Return true less stated image positions (m, n, 2) at stated ones (n, 2) or (m, n, 2)."""
+        """Return true less stated image positions (m, n, 2) at stated positions (n, 2) or (m, n, 2)."""
         shift = self.workshop.lens_px(unit) + self.workshop.drift_px(self._elapsed, unit)
         return np.asarray(shift / HALF_DIAGONAL_PX)
 
@@ -120,7 +120,7 @@ class LabSweep:
         return np.asarray((self.viewpoint + self.motion[:, 3:])[:, None] + along)
 
     def rays_of_dirs(self, view_dir: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return origins and directions (m, n, 3) of the true rays of stated directions (n, 3), device frame."""
+        """Return origins and directions (m, n, 3) of the true rays for stated directions (n, 3), device frame."""
         unit = self.camera.unit_of_dir(view_dir)
         unit = unit + self._image_error(unit)
         return self._pupil(unit), self.camera.dir_of_unit(unit) @ np.swapaxes(self._true_rotation, -1, -2)
@@ -128,7 +128,7 @@ class LabSweep:
     def views_of_points(self, point: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the stated directions (m, n, 3) of true points (n, 3) through the optics, and a mask (m, n).
 
-        The pupil depends on the direction, and the error of the image on the stated position: both are iterated.
+        The pupil depends on the direction, and the image error on the stated position: both are iterated.
         """
         true = normalised(point - (self.viewpoint + self.motion[:, 3:])[:, None])
         for _ in range(2):
@@ -170,7 +170,7 @@ class LabSweep:
         for visit in np.unique(captures.capture):
             rows = captures.capture == visit
             noise[rows] = size * self.workshop.noise(tangents[rows] / self.camera.half_diagonal, rng)
-        # A small angle along and across the radius is another change of the tangents.
+        # A small angle changes the tangents differently along and across the radius.
         square = np.sum(tangents**2, axis=-1, keepdims=True)
         radial = tangents * np.sum(tangents * noise, axis=-1, keepdims=True)
         moved = tangents + np.sqrt(1.0 + square) * (noise + radial / (1.0 + np.sqrt(1.0 + square)))
@@ -182,9 +182,9 @@ class LabBoard:
     """One board at several poses; farther away, every second or third dot is read.
 
     Attributes:
-        half_m: (2,) half its width and height.
-        pitch_m: distance of its dots.
-        device_from_target: (k, 4, 4) its poses.
+        half_m: (2,) half the width and height.
+        pitch_m: distance of neighbouring dots.
+        device_from_target: (k, 4, 4) poses of the board.
         stride: (k,) step between the dots that are read.
     """
 
@@ -218,7 +218,7 @@ class LabBoard:
         return np.column_stack([place, np.zeros(len(place))])
 
     def printed(self, dots: FloatArray, workshop: Workshop) -> FloatArray:
-        """Return the true positions (n, 3) of designed ones (n, 3), board frame."""
+        """Return the true positions (n, 3) of designed positions (n, 3), board frame."""
         place = dots[:, :2]
         return np.column_stack([place + workshop.printed_m(place), workshop.height_m(place / self.half_m)])
 
@@ -240,7 +240,7 @@ def display_captures(
 def see_through_captures(
     setup: CaptureSetup, workshop: LabWorkshop, viewpoint: FloatArray, rng: np.random.Generator
 ) -> SeeThroughCaptures:
-    """Photograph the board at all poses through the optics from positions (m, 3), which are visited anew for each."""
+    """Photograph the board at all poses through the optics, with a new sweep over positions (m, 3) for each pose."""
     board, parts = LabBoard.of(setup), []
     for pose, device_from_target in enumerate(board.device_from_target):
         sweep = LabSweep.driven(setup, workshop, viewpoint, pose, rng)

@@ -49,7 +49,7 @@ _DEFAULTS = BudgetStudyOptions()
 
 
 def run(options: BudgetStudyOptions = _DEFAULTS, *, progress: ProgressArgument = SILENT) -> Report:
-    """Simulate, calibrate, predict, compare; writes budget.html, .md and .json.
+    """Simulate, calibrate, predict and compare; write budget.html, .md and .json.
 
     Raises:
         BadInputError: an output folder that cannot be written.
@@ -83,7 +83,7 @@ def run(options: BudgetStudyOptions = _DEFAULTS, *, progress: ProgressArgument =
 
 
 def tables(outcomes: Sequence[BudgetOutcome]) -> list[ReportTable]:
-    """Coverage by region of the panel, predicted over true rms by headset, and sessions that were refused."""
+    """Tabulate coverage by region of the panel, predicted over true rms by headset, and refused sessions."""
     by_region, by_device = [], []
     judged = [each for each in outcomes if not each.refused]
     for condition in CONDITIONS:
@@ -115,7 +115,7 @@ def tables(outcomes: Sequence[BudgetOutcome]) -> list[ReportTable]:
 
 
 def _row(condition: str, name: str, outcomes: Sequence[BudgetOutcome], regions: Sequence[str] = REGIONS) -> list[Cell]:
-    """Return a row over sessions and regions; cells without data are empty."""
+    """Return a row pooled over sessions and regions; cells without data are empty."""
     sessions = [
         [part for part in each.coverage if part.condition == condition and part.region in regions] for each in outcomes
     ]

@@ -33,30 +33,30 @@ from wlr_render.simulation.photographs.recipe import SimulationRecipe
 MODEL_ALONE, CAMERA_FRAME, WITH_TRACKERS = "models alone", "models, camera's frame", "with trackers"
 CONDITIONS = (MODEL_ALONE, CAMERA_FRAME, WITH_TRACKERS)
 SHARES = (0.68, 0.95)
-"""Of the ellipses."""
+"""Probabilities of the ellipses."""
 
 _PLACES = 16
-_READINGS = ReadingOptions(most_dots=300, panel_samples=800)  # half of the usual: the bench decides, not their noise
-_POINTS = 600  # pixels, viewpoints and depths of a session
+_READINGS = ReadingOptions(most_dots=300, panel_samples=800)  # half the usual: the bench dominates, not noise
+_POINTS = 600  # number of pixels, viewpoints and depths per session
 _NEAR_M, _FAR_M = 0.3, 5.0
-_TAIL = 5  # degrees of freedom of Student's t, of which noise is drawn
+_TAIL = 5  # degrees of freedom of Student's t, from which noise is drawn
 _ALIKE = 0.6  # correlation of the trackers' errors along different axes
 
 
 @dataclass(frozen=True)
 class BudgetTrial:
-    """A simulated session; devices take turns."""
+    """A simulated session; the sessions alternate between devices."""
 
     number: int
 
     @property
     def device(self) -> str:
-        """The headset."""
+        """Name of the headset."""
         return DEVICES[self.number % len(DEVICES)]
 
     @property
     def file(self) -> str:
-        """Name of the file of its outcome."""
+        """Name of the outcome's file."""
         return f"budget-{self.number:03d}-{self.device}.json"
 
 
@@ -151,8 +151,8 @@ def judged(
         condition: one of `CONDITIONS`.
         eye: the models, in the frame of the calibration.
         truth: the headset, in its own frame.
-        model_from_true: (4, 4) between the frames; identity if the trackers measure in the true frame.
-        sizes: sizes of the tracker errors, which are drawn from other distributions, and of the truncation errors.
+        model_from_true: (4, 4) transform between the frames; identity if the trackers measure in the true frame.
+        sizes: sizes of truncation errors and of tracker errors, which are drawn from other distributions.
         rng: generator of the points and of the tracker errors.
     """
     pixel = rng.uniform(0.0, 1.0, (_POINTS, 2)) * eye.display.panel.size_px
@@ -160,7 +160,7 @@ def judged(
     depth = 1.0 / rng.uniform(1.0 / _FAR_M, 1.0 / _NEAR_M, _POINTS)
     predicted = registration_covariance(eye, pixel, viewpoint, depth, sizes)
     predicted = predicted.in_camera_frame() if condition == CAMERA_FRAME else predicted
-    # The renderer draws at this pixel what its trackers make it believe lies behind it.
+    # The renderer draws at this pixel the point that, according to its trackers, lies behind the pixel.
     believed_viewpoint = viewpoint + _eye_errors(sizes, rng)
     shown = eye.display.view_dir_of_pixel(pixel, believed_viewpoint).value
     ray = eye.see_through.real_ray_of_view_dir(shown, believed_viewpoint).value
@@ -185,7 +185,7 @@ def judged(
 def _true_error(
     truth: Eye, true_from_model: FloatArray, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
 ) -> FloatArray:
-    """Return true directions (n, 3) of pixels less true directions of points; axes of the model's frame."""
+    """Return true directions (n, 3) of pixels less true directions of points, in the axes of the model's frame."""
     viewpoint, point = (transforms.apply(true_from_model, each) for each in (viewpoint, point))
     shown = truth.display.view_dir_of_pixel(pixel, viewpoint).value
     seen = truth.see_through.view_dir_of_real_point(point, viewpoint).value
@@ -193,7 +193,7 @@ def _true_error(
 
 
 def _eye_errors(sizes: ErrorSizes, rng: np.random.Generator) -> FloatArray:
-    """Errors (n, 3) of the tracked viewpoint: one bias for the session, noise with tails, motions along gaze paths."""
+    """Draw errors (n, 3) of the tracked viewpoint: a session bias, heavy-tailed noise, motions along gaze paths."""
     eye = sizes.eye
     bias = _axes(eye.bias_m) * rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), 3)
     late = eye.latency_s * _axes(eye.speed_m_s) * rng.laplace(0.0, np.sqrt(0.5), (_POINTS, 3))
@@ -201,7 +201,7 @@ def _eye_errors(sizes: ErrorSizes, rng: np.random.Generator) -> FloatArray:
 
 
 def _head_errors(sizes: ErrorSizes, rng: np.random.Generator) -> FloatArray:
-    """Motions (n, 4, 4) of the world in the device frame by which the head tracker is wrong."""
+    """Draw errors of the head tracker, as motions (n, 4, 4) of the world in the device frame."""
     head = sizes.head
     noise, speed = _tailed(rng, 6), rng.laplace(0.0, np.sqrt(0.5), (_POINTS, 6))
     turn = noise[:, :3] * _axes(head.rotation_rad) + head.latency_s * speed[:, :3] * _axes(head.angular_speed_rad_s)
@@ -214,7 +214,7 @@ def _axes(size: PerAxis) -> FloatArray:
 
 
 def _tailed(rng: np.random.Generator, count: int) -> FloatArray:
-    """Numbers (n, count) of unit variance with tails, correlated between columns."""
+    """Draw heavy-tailed numbers (n, count) of unit variance, correlated between columns."""
     correlation = _ALIKE + (1.0 - _ALIKE) * np.eye(count)
     drawn = rng.standard_t(_TAIL, (_POINTS, count)) / np.sqrt(_TAIL / (_TAIL - 2.0))
     return np.asarray(drawn @ np.linalg.cholesky(correlation).T)

@@ -1,1 +1,1 @@
-"""Camera places that a plan chooses, judged by simulated sessions."""
+"""Camera positions that a plan chooses, judged by simulated sessions."""

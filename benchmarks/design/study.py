@@ -44,7 +44,7 @@ class DesignOptions(SpreadOptions):
 
 
 def run(options: DesignOptions = DesignOptions(), *, progress: ProgressArgument = SILENT) -> Report:
-    """Choose, simulate, fit and compare; writes design.html, .md and .json.
+    """Choose, simulate, fit and compare; write design.html, .md and .json.
 
     Raises:
         BadInputError: captures that do not determine a model, or an output folder that cannot be written.
@@ -72,7 +72,7 @@ def run(options: DesignOptions = DesignOptions(), *, progress: ProgressArgument 
 
 
 def design_table(outcomes: Sequence[DesignOutcome]) -> ReportTable:
-    """Mean errors by headset, and ratios of the chosen design to the others."""
+    """Tabulate mean errors by headset, and ratios of the chosen design to the others."""
     rows: list[list[Cell]] = []
     for headset in dict.fromkeys(each.trial.headset for each in outcomes):
         own = [each.p95 for each in outcomes if each.trial.headset == headset]

@@ -1,4 +1,4 @@
-"""One trial: a pilot session chooses camera places, and another session is simulated and fitted with each design."""
+"""One trial: a pilot session chooses camera positions, and another session is simulated and fitted for each design."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,14 +11,14 @@ from wlr_render.planning.planned_errors import DesignPredictor, EyeTests, Planne
 from wlr_render.planning.search import PILOT_PLACES, chosen_design
 
 FEW, MANY = 16, 25
-"""Numbers of camera places."""
+"""Numbers of camera positions."""
 DESIGNS = (f"{SPREAD} {FEW}", f"{SPREAD} {MANY}", f"{CHOSEN} {FEW}")
 """Names of the designs that are compared."""
 
 
 @dataclass(frozen=True)
 class DesignTrial:
-    """A simulated session of a headset; `in_depth` as in `PlannedBench`."""
+    """A simulated session of a headset; for `in_depth` see `PlannedBench`."""
 
     headset: str
     in_depth: bool
@@ -26,7 +26,7 @@ class DesignTrial:
 
     @property
     def file(self) -> str:
-        """Name of the file of its outcome."""
+        """Name of the outcome's file."""
         return f"design-{self.headset}-{'depth' if self.in_depth else 'plane'}-{self.number:03d}.json"
 
 
@@ -36,7 +36,7 @@ class DesignOutcome:
 
     Attributes:
         trial: the session.
-        p95: registration error in arcminutes that 95 % of the eye box stay below, by the name of the design.
+        p95: 95th percentile of the registration error over the eye box, arcminutes, by name of the design.
     """
 
     trial: DesignTrial

@@ -24,7 +24,7 @@ class Condition(StrEnum):
 
 
 def nature_of(condition: Condition, rng: np.random.Generator) -> BenchNature:
-    """Return a bench of that condition; sizes that vary from bench to bench are drawn."""
+    """Return a bench in this condition; sizes that vary from bench to bench are drawn."""
     drawn = {name: draw(rng) for name, draw in _DRAWS.items()}
     chosen = drawn.values() if condition is Condition.ALL else [drawn.get(condition, {})]
     return BenchNature(**{key: value for sizes in chosen for key, value in sizes.items()})

@@ -12,14 +12,14 @@ from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.scatter import Scatter
 
 _OTHERS = 6
-_WORTH_A_FIT = 0.3  # share of the truth's gain; a smaller first-order gain leaves far more residual than the truth
+_WORTH_A_FIT = 0.3  # smallest share of the truth's gain: less first-order gain leaves far more residual than the truth
 
 
 def remainder(readings: WeighedReadings, scatter: Scatter, hidden: Sequence[str], name: str) -> float:
-    """Return the chi-squared of the best other cause in place of a hidden one, less the truth's; 25 is 5 sigma.
+    """Return the chi-squared of the best other cause in place of a hidden cause, less the truth's; 25 is 5 sigma.
 
     "No cause" competes as well. All readings count, including those that a diagnosis excludes: a slip before the last
-    captures must not pass for captures that moved.
+    captures must not be mistaken for captures that moved.
 
     Args:
         readings: readings with only the hidden causes and the true noise.
@@ -41,7 +41,7 @@ def remainder(readings: WeighedReadings, scatter: Scatter, hidden: Sequence[str]
 def _fitted(
     readings: WeighedReadings, rest: Fit, names: Iterable[str], most: int, least_gain: float = -np.inf
 ) -> list[Fit]:
-    """One more cause on top of the rest, in the most promising ways; none that gains less than `least_gain`."""
+    """Return fits with one more cause, in the most promising ways with at least `least_gain`; else the given fit."""
     causes = {name: CAUSES[name] for name in names}
     candidates = hypotheses(causes)
     screened = screen(Signatures.of(readings, candidates), rest, candidates)

@@ -34,9 +34,9 @@ KindName = Literal[
 ConditionName = Literal["white", "repeatability", "sigma_misstated", "rim", "noisy_captures", "shared", "all_of_them"]
 
 _UNLISTED = (*UNLISTED, *UNLISTED_AT_RUN_TIME)
-_COMBINED = 4  # pairs, triples, and the like for every trial of a cause
+_COMBINED = 4  # number of pairs, triples and the like per trial of a cause
 _TRIALS = "trials"
-_OF_CAPTURES = (Condition.REPEATABILITY, Condition.SHARED)  # need camera positions; run-time recordings have none
+_OF_CAPTURES = (Condition.REPEATABILITY, Condition.SHARED)  # need camera positions, which run-time recordings lack
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ _DEFAULTS = DiagnosisOptions()
 
 
 def run(options: DiagnosisOptions = _DEFAULTS, *, progress: ProgressArgument = SILENT) -> Report:
-    """Run all trials; writes diagnosis.html, .md and .json into `options.out`, interrupted or not."""
+    """Run all trials; write diagnosis.html, .md and .json into `options.out`, even if interrupted."""
     folder = output_folder(options.out)
     tasks = trials(options)
     outcomes: list[DiagnosisOutcome] = []
@@ -97,7 +97,7 @@ def run(options: DiagnosisOptions = _DEFAULTS, *, progress: ProgressArgument = S
 
 
 def trials(options: DiagnosisOptions) -> list[DiagnosisTrial]:
-    """All trials of a study, mixed so that an interrupted study has some of each."""
+    """Return all trials of a study, mixed so that an interrupted study has some of each kind."""
     conditions = [Condition(name) for name in options.conditions]
     made = []
     for kind in TrialKind:
@@ -116,7 +116,7 @@ def trials(options: DiagnosisOptions) -> list[DiagnosisTrial]:
 
 
 def _effects(kind: TrialKind, count: int, conditions: int, rng: np.random.Generator) -> Sequence[tuple[str, ...]]:
-    """Names of the effects in each trial of a kind."""
+    """Return the names of the effects in each trial of a kind."""
     listed = [name for name in LISTED if name in CAUSES]
     match kind:
         case TrialKind.CLEAN:
@@ -139,7 +139,7 @@ def _effects(kind: TrialKind, count: int, conditions: int, rng: np.random.Genera
         case TrialKind.MOVED:
             return [_chosen(listed, 1, rng) for _ in range(_COMBINED * count)]
         case TrialKind.MOVED_MANY:
-            # Half of the trials hide a cause, too; the number of captures that moved changes from trial to trial.
+            # Half of the trials also hide a cause; the number of captures that moved varies from trial to trial.
             return [_chosen(listed, int(rng.integers(2)), rng) for _ in range(_COMBINED * count)]
 
 

@@ -12,15 +12,15 @@ from benchmarks.intervals import INTERVAL, interval_percent
 from wlr_render.diagnosis.diagnosis import NO_EFFECT
 from wlr_render.report.blocks import Cell, ReportTable
 
-_FIVE_SIGMA = 25.0  # chi-squared
+_FIVE_SIGMA = 25.0  # chi-squared of 5 sigma
 _AT_FLOOR = 1.03
-_NO_SIZE = 1e-3  # mean square change, in units of sigma, below which nothing can be removed
+_NO_SIZE = 1e-3  # mean square change, in units of sigma squared, below which nothing can be removed
 
 
 def tables(outcomes: Sequence[DiagnosisOutcome]) -> list[ReportTable]:
-    """Figures, also by condition, moved captures, confusion, estimates, unlisted effects, faults.
+    """Return tables of figures, also by condition, moved captures, confusion, estimates, unlisted effects and faults.
 
-    Tables of what has not been tried are left out.
+    Tables without trials are left out.
     """
     made = (
         _figures(outcomes),
@@ -39,7 +39,7 @@ def _of(outcomes: Sequence[DiagnosisOutcome], *kinds: TrialKind) -> list[Diagnos
 
 
 def _strong(outcomes: Sequence[DiagnosisOutcome]) -> list[DiagnosisOutcome]:
-    """Trials in which every hidden cause leaves 5 sigma that no other single cause explains."""
+    """Return the trials in which every hidden cause leaves 5 sigma that no other single cause explains."""
     return [outcome for outcome in outcomes if min(outcome.remainder) > _FIVE_SIGMA]
 
 
@@ -69,11 +69,11 @@ def _deviations(outcomes: Sequence[DiagnosisOutcome]) -> list[float]:
 
 
 Figure = tuple[str, Sequence[DiagnosisOutcome] | Sequence[float], Callable[..., float], str | None]
-"""Name, values, the statistic of the values, and the goal."""
+"""Name, values, statistic of the values, and goal."""
 
 
 def _main_figures(outcomes: Sequence[DiagnosisOutcome]) -> list[Figure]:
-    """Figures that are also stated for each condition."""
+    """Return the figures that are also stated for each condition."""
     clean = _of(outcomes, TrialKind.CLEAN, TrialKind.CLEAN_RUN_TIME)
     one = _of(outcomes, TrialKind.ONE)
     return [
@@ -227,7 +227,7 @@ def _placed(outcome: DiagnosisOutcome) -> bool:
 
 
 def _removed(outcome: DiagnosisOutcome) -> float:
-    """Share of the variance above noise that the corrected bench takes off a second session; 0 after an error."""
+    """Return the share of a second session's variance above noise that the corrected bench removes; 0 on an error."""
     return float(np.nan_to_num(1.0 - (outcome.held_out**2 - 1.0) / max(outcome.size**2, _NO_SIZE)))
 
 
@@ -240,7 +240,7 @@ def _falsely(outcome: DiagnosisOutcome) -> bool:
 
 
 def _wrongly(outcome: DiagnosisOutcome) -> set[str]:
-    """Excluded captures that did not move."""
+    """Return the excluded captures that did not move."""
     return set(outcome.excluded) - set(outcome.moved)
 
 
@@ -296,7 +296,7 @@ def _unlisted(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:
 
 
 def _faults(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:
-    """Trials to be looked into, so that they can be run again."""
+    """List the trials to be investigated, so that they can be run again."""
     rows: list[list[Cell]] = [
         [
             outcome.trial.kind.value,
