@@ -52,11 +52,11 @@ _LARGE, _SMALL, _EIGHTEEN = (6, 12), (4, 8), (4, 2)  # nodes per axis and captur
 _IN_COLOUR = 0.25  # share of sessions in colour, in addition to those with a colour effect
 _SIGMA_PX = (0.05, 0.2)
 _MOST_MOVED = 6
-_LATE = 2  # captures after a late slip
-_LEAST_UNITS = 0.1  # micrometres and microradians of motions
-_SUBSAMPLE = 2000  # about a third of the readings, as in a session of full size
-_UNLISTED_SIGMA = (3.0, 10.0)  # rms change of the readings that an unlisted effect changes
-_CHANGED, _LARGEST = 0.1, 0.99  # share of the largest change from which a reading counts, and the largest's quantile
+_LATE = 2  # number of captures after a late slip
+_LEAST_UNITS = 0.1  # smallest motion, micrometres and microradians
+_SUBSAMPLE = 2000  # number of readings, about a third, as in a session of full size
+_UNLISTED_SIGMA = (3.0, 10.0)  # range of the rms change of readings that an unlisted effect changes, in sigma
+_CHANGED, _LARGEST = 0.1, 0.99  # share of the largest change from which a reading is used; quantile of the largest
 
 
 class TrialKind(StrEnum):
@@ -81,7 +81,7 @@ JUDGED_BY_REMAINDER = (
     TrialKind.LATE_SLIP,
     TrialKind.UNLISTED_BESIDE,
 )
-"""Kinds of which a diagnosis has to find all causes, where these leave enough that no other explains."""
+"""Kinds of trials in which a diagnosis has to find all causes whose residual no other cause explains well enough."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class DiagnosisTrial:
         kind: see `TrialKind`.
         effects: names of the effects, except captures that moved.
         number: distinguishes equal trials. Late slips happen before the last captures of the session in odd trials, and
-            before the last display captures in even ones.
+            before the last display captures in even trials.
         condition: condition of the bench.
     """
 
@@ -108,7 +108,7 @@ class DiagnosisTrial:
 
     @property
     def file(self) -> str:
-        """Name of the file of its outcome."""
+        """Name of the outcome's file."""
         return f"{'-'.join((self.kind.name.lower(), self.condition, *self.effects))}-{self.number:04d}.json"
 
     @property
@@ -118,7 +118,7 @@ class DiagnosisTrial:
         return self.kind is TrialKind.CLEAN_RUN_TIME or not at_run_time.isdisjoint(self.effects)
 
     def generator(self, seed: int) -> np.random.Generator:
-        """Random numbers that depend on the study's seed and this trial alone."""
+        """Return a generator of random numbers that depend on the study's seed and this trial alone."""
         name = "/".join((self.kind, self.condition, *self.effects))
         return np.random.default_rng([seed, zlib.crc32(name.encode()), self.number])
 
@@ -139,13 +139,13 @@ class DiagnosisOutcome:
         moved: the captures that truly moved.
         deviations: (estimate - truth) / sigma of every parameter of the hidden causes, if exactly these were named.
         size: rms change of the readings by the effects, in units of sigma.
-        remainder: see `remainder.remainder`; one for each hidden cause in the kinds of `JUDGED_BY_REMAINDER`.
+        remainder: see `remainder.remainder`; one for each hidden cause if the kind is in `JUDGED_BY_REMAINDER`.
         held_out: rms residual of a second session of the bench against the corrected bench, in units of sigma; that
             session has white noise of the stated size, whatever the condition.
         seconds: duration of the diagnosis.
-        again: verdict on the same session with the corrected bench, where only an unlisted effect was hidden; empty
-            where nothing was corrected.
-        place_off: distance of a bubble from the place stated for it, over its radius; None for other effects.
+        again: verdict on the same session with the corrected bench, if only an unlisted effect was hidden; empty if
+            nothing was corrected.
+        place_off: distance of a bubble from its stated position, over its radius; None for other effects.
     """
 
     trial: DiagnosisTrial
@@ -172,12 +172,12 @@ class DiagnosisOutcome:
 
     @property
     def first(self) -> str:
-        """The first cause named, else the verdict."""
+        """The first named cause, else the verdict."""
         return self.named[0] if self.named else self.verdict
 
 
 def run_trial(trial: DiagnosisTrial, seed: int) -> DiagnosisOutcome:
-    """Run one trial; the same seed gives the same outcome. A diagnosis that ends in an error is an outcome, too."""
+    """Run one trial; the same seed gives the same outcome. A diagnosis that ends in an error is also an outcome."""
     rng = trial.generator(seed)
     nature, plan = nature_of(trial.condition, rng), _plan(trial, rng)
     effects, moved = _effects(trial, plan, rng), _moved(trial, plan, rng)
@@ -224,7 +224,7 @@ def run_trial(trial: DiagnosisTrial, seed: int) -> DiagnosisOutcome:
 
 
 def loaded_outcome(trial: DiagnosisTrial, content: dict[str, Any]) -> DiagnosisOutcome:
-    """Return the outcome of a trial from its fields, in which JSON has lists in place of tuples."""
+    """Return the outcome of a trial from its JSON fields, which have lists in place of tuples."""
     fields: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in content.items()}
     return DiagnosisOutcome(**{**fields, "trial": trial})
 
@@ -267,7 +267,7 @@ def _moved(trial: DiagnosisTrial, plan: AnyPlan, rng: np.random.Generator) -> Se
 
 
 def _of_size(effect: Effect, plan: AnyPlan, rng: np.random.Generator) -> Effect:
-    """Scale an effect such that the readings that it changes are off by 3 to 10 sigma, rms per axis."""
+    """Scale an effect so that the readings that it changes are off by 3 to 10 sigma, rms per axis."""
     nominal, session = observed(plan, [effect], np.random.default_rng(0), BenchNature(noise_factor=0.0))
     square = np.mean(_residual(nominal, session) ** 2, axis=1)
     changed = float(np.sqrt(np.mean(square[square > _CHANGED**2 * np.quantile(square, _LARGEST)])))
@@ -297,7 +297,7 @@ def _remainders(readings: WeighedReadings, trial: DiagnosisTrial, nature: BenchN
 
 
 def _place_off(said: Diagnosis, effects: Sequence[Effect], plan: AnyPlan) -> float:
-    """Return the distance of a bubble from the place stated for it, over its radius; infinite where none is stated."""
+    """Return the distance of a bubble from its stated position, over its radius; infinite if no position is stated."""
     place = next((effect.place for effect in said.effects if effect.station == "combiner"), None)
     if place is None:
         return float("inf")

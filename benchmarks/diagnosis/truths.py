@@ -20,14 +20,14 @@ Truth = Mapping[str, float]
 Convert = Callable[[Amount, Plan | RunTimePlan], Truth]
 
 _BOW_REFERENCE_MM = 400.0
-_BOW_DOTS = 10  # distance from the middle of the first target, in dots, at which the cause states the sag
+_BOW_DOTS = 10  # distance from the middle of the first target, in dots, to which the cause's sag refers
 _EDGE_PX, _FOCAL_PX = 640.0, 1350.0
 
 
 def truth_of(effect: Effect, plan: Plan | RunTimePlan) -> Truth:
-    """Return the perfect diagnosis of an effect; empty for an effect outside the list of causes.
+    """Return the perfect diagnosis of an effect; empty for an effect that is not a listed cause.
 
-    The thickness of the see-through plate is omitted: the generator's glass is not the cause's.
+    The thickness of the see-through plate is omitted: the generator's glass differs from the cause's.
     """
     convert = _CONVERSIONS.get(effect.name)
     return convert(effect.amount, plan) if convert else {}
@@ -42,7 +42,7 @@ def _vector(name: str, unit: str) -> Convert:
 
 
 def _same(**key_of: str) -> Convert:
-    """Parameters that are amounts under another name."""
+    """Return the parameters that are amounts under another name."""
     return lambda amount, plan: {name: amount[key] for name, key in key_of.items()}
 
 

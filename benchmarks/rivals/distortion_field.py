@@ -151,7 +151,7 @@ def distortion_field(
     """Fit a distortion field to captures of the panel, from viewpoints anywhere.
 
     Args:
-        captures: of the panel.
+        captures: captures of the panel.
         seconds: process time of the training; therefore the result depends on the speed of the machine.
         units: number of units of each hidden layer.
     """
