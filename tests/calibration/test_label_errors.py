@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from present import narrowed, present
 from wlr_render.calibration import label_errors as label_error_module
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import calibrate
+from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.calibration.label_errors import LabelError, label_errors
 from wlr_render.captures.correspondences import AnyCaptures, Captures, DisplayCaptures, SeeThroughCaptures
@@ -22,6 +24,7 @@ from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangen
 from wlr_render.jobs.headset import open_eye
 from wlr_render.models import registration
 from wlr_render.models.display_model import DisplayModel
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.models.see_through_model import SeeThroughModel
 
 SIGMA = 0.25
@@ -110,8 +113,22 @@ def murky(seed: int) -> DisplayCaptures:
     return replace(captures, view_dir=noisy, sigma_arcmin=np.full(len(captures), np.sqrt(2.0) * SIGMA))
 
 
-def labels_of(fit: Callable[..., Any], captures: DisplayCaptures | SeeThroughCaptures) -> tuple[LabelError, ...]:
-    return label_errors(fit(captures, "planar", 3).smooth, captures)[0]
+@cache
+def of_board(seed: int, size_m: float = 0.0) -> ModelFit[FittedSeeThrough]:
+    return fit_see_through(board(seed, size_m), "planar", 3)
+
+
+@cache
+def of_flickering(seed: int) -> ModelFit[FittedDisplay]:
+    return fit_display(flickering(seed), "planar", 3)
+
+
+def labels_in(fit: ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]) -> tuple[LabelError, ...]:
+    return label_errors(fit.smooth, fit.captures)[0]
+
+
+def labels_of(captures: DisplayCaptures) -> tuple[LabelError, ...]:
+    return labels_in(fit_display(captures, "planar", 3))
 
 
 def said(found: tuple[LabelError, ...]) -> list[Any]:
@@ -119,8 +136,8 @@ def said(found: tuple[LabelError, ...]) -> list[Any]:
 
 
 def test_sound_sessions_show_nothing() -> None:
-    found = [labels_of(fit_display, display(seed, 4)) for seed in range(10)]
-    found += [labels_of(fit_see_through, board(seed)) for seed in range(2)]
+    found = [labels_of(display(seed, 4)) for seed in range(10)]
+    found += [labels_in(of_board(seed)) for seed in range(2)]
     assert [said(each) for each in found if said(each)] == []
     ratios = [each.ratio for each in sum(found, ()) if each.label.startswith(("cell", "dot"))]
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
@@ -128,16 +145,10 @@ def test_sound_sessions_show_nothing() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(
-    ("fit", "captures", "label", "size"),
-    [
-        (fit_see_through, lambda seed: board(seed, 2e-5), "dot", 0.1),
-        (fit_display, flickering, "time", 0.5),
-    ],
+    ("fitted", "label", "size"), [(lambda seed: of_board(seed, 2e-5), "dot", 0.1), (of_flickering, "time", 0.5)]
 )
-def test_a_foreign_error_is_named_by_its_label(
-    fit: Callable[..., Any], captures: Callable[..., Any], label: str, size: float, seed: int
-) -> None:
-    found = labels_of(fit, captures(seed))
+def test_a_foreign_error_is_named_by_its_label(fitted: Callable[..., Any], label: str, size: float, seed: int) -> None:
+    found = labels_in(fitted(seed))
     assert said(found) == [label]
     assert found[0].size_arcmin == pytest.approx(size, rel=0.4)
 
@@ -165,7 +176,7 @@ def test_noise_that_neighbours_share_is_no_finding() -> None:
 
 
 def test_a_named_error_is_in_the_predicted_one() -> None:
-    without = fit_display(flickering(0), "planar", 3)
+    without = of_flickering(0)
     fit, captures = without.with_label_errors(), narrowed(without.captures, DisplayCaptures)
     (named,) = [each for each in fit.labels if each.matters]
     assert set(present(fit.mapping.spread).sources) == {"drift", "stage axes", "direction of travel"}
@@ -201,7 +212,7 @@ def test_a_budget_from_the_model_file_names_what_the_labels_do(tmp_path: Path) -
 
 
 def test_an_error_of_the_readings_is_propagated_to_the_model() -> None:
-    printed, exact = (fit_see_through(board(0, size), "planar", 3) for size in (2e-5, 0.0))
+    printed, exact = (of_board(0, size) for size in (2e-5, 0.0))
     changed = arcmin_between(printed.seen(printed.captures).value, exact.seen(printed.captures).value)
     (named,) = [each for each in label_errors(printed.smooth, printed.captures)[0] if each.stands_out]
     assert named.in_model_arcmin == pytest.approx(np.sqrt(np.mean(changed**2)), rel=0.3)
@@ -209,16 +220,16 @@ def test_an_error_of_the_readings_is_propagated_to_the_model() -> None:
 
 
 def test_labels_are_those_that_the_captures_have() -> None:
-    bare = labels_of(fit_display, display_captures(places(0, 3), sigma_arcmin=SIGMA))
+    bare = labels_of(display_captures(places(0, 3), sigma_arcmin=SIGMA))
     assert {each.label for each in bare} == {
         "cell of the panel",
         "visit",
         "reading of stage axis x",
         "reading of stage axis y",
     }
-    names = {each.label for each in labels_of(fit_see_through, board(0))}
+    names = {each.label for each in labels_in(of_board(0))}
     assert {"cell of the field", "dot", "dot and pose", "time", "direction of travel"} <= names
-    assert labels_of(fit_display, display_captures(places(0, 3))) == ()  # exact data
+    assert labels_of(display_captures(places(0, 3))) == ()  # exact data
 
 
 def test_an_error_that_the_bench_states_is_no_finding() -> None:
@@ -228,5 +239,4 @@ def test_an_error_that_the_bench_states_is_no_finding() -> None:
     slot = np.floor(6.0 * captures.time_s[first] / (captures.time_s.max() + 1.0))
     motion[:, 0, 0] = motion[:, 1, 1] = 2.0 * ARCMIN * (-1.0) ** slot
     stated = replace(captures, common=CommonErrors(("camera", "camera"), names, motion))
-    assert said(labels_of(fit_display, captures)) == ["time"]
-    assert said(labels_of(fit_display, stated)) == []
+    assert said(labels_of(stated)) == []

@@ -21,7 +21,7 @@ from wlr_render.simulation.photographs.recipe import SimulationRecipe
 
 @pytest.fixture(scope="module")
 def calibrated() -> tuple[PhotoSession, CalibratedBench, Captures]:
-    recipe = SimulationRecipe("birdbath28", viewpoints=5, bench=PhotoBenchOptions(seed=3))
+    recipe = SimulationRecipe("birdbath28", viewpoints=4, bench=PhotoBenchOptions((640, 512), seed=3))
     made = simulate_readings(recipe, ReadingOptions(panel_samples=60, most_dots=50))
     session = with_stated_lenses(made.session)
     bench = calibrate_bench(session, made.reading)

@@ -56,7 +56,7 @@ def observed(
         orientation: number of a photograph -> its mounting.
         known: attributes of `BenchObservations`.
     """
-    views = [*bench.lens_views(EYEBALL, 10), *bench.lens_views(TRACKING, 10, 0.6)]
+    views = [*bench.lens_views(EYEBALL, 6), *bench.lens_views(TRACKING, 6, 0.6)]
     places, true = {}, {}
 
     def visit(name: str, reading: FloatArray | int, mounting: int) -> None:
@@ -120,8 +120,9 @@ def grid(axes: int, sweep: bool = False) -> FloatArray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("axes", [3, 2, 1])
-def test_stages_of_three_two_and_one_linear_axes(axes: int) -> None:
+@pytest.mark.parametrize("axes", [2, 1])
+def test_stages_of_two_and_one_linear_axes(axes: int) -> None:
+    """Of three: test_adjustment.py, and mountings below."""
     bench = TrueBench(3)
     motions = [along(column) for column in bench.axes.T[:axes]]
     seen, true = observed(
@@ -153,17 +154,14 @@ def test_a_rotary_axis_about_the_pupil_beside_a_linear_one() -> None:
     turns = np.radians([-12.0, -5.0, 0.0, 6.0, 12.0])
     readings = [np.array([shift, turn]) for shift in (-0.006, 0.0, 0.006) for turn in turns]
     sweep = [np.array([shift, turn]) for shift in (-0.004, 0.003) for turn in np.radians([-9.0, 2.0, 10.0])]
-    known = bench.base[:3, :3] @ turned(0.4, 0, -0.3) @ [0.0, 1.0, 0.0]
     motions = [along(bench.axes[:, 0]), about_y]
-    for rotary in (StageAxis("rotary"), StageAxis("rotary", known, np.radians(0.5))):
-        seen, true = observed(
-            bench, (StageAxis(), rotary), readings, sweep, lambda reading: bench.carried(motions, reading)
-        )
-        found = adjusted(seen)
-        assert_true(found, bench, true)
-        turn, shift = found.state.twists[1, :3], found.state.twists[1, 3:]
-        assert np.linalg.norm(turn - [0, 1, 0]) < 2e-3
-        assert np.linalg.norm(shift - np.cross(PIVOT, [0, 1, 0])) < 2e-4
+    axes = (StageAxis(), StageAxis("rotary"))
+    seen, true = observed(bench, axes, readings, sweep, lambda reading: bench.carried(motions, reading))
+    found = adjusted(seen)
+    assert_true(found, bench, true)
+    turn, shift = found.state.twists[1, :3], found.state.twists[1, 3:]
+    assert np.linalg.norm(turn - [0, 1, 0]) < 2e-3
+    assert np.linalg.norm(shift - np.cross(PIVOT, [0, 1, 0])) < 2e-4
 
 
 def test_a_rotary_axis_that_no_photograph_shows_turns_about_its_stated_pivot() -> None:
