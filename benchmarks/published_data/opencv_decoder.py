@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.published_data.flat_surfaces import Lenses, PlaneSurvey, distance_to_planes
 from wlr_render.captures.decoded import Decoded
 from wlr_render.captures.photographs import Photograph
-from wlr_render.evaluation.code_quality import Lenses, PlaneSurvey, distance_to_planes
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import IntArray
 from wlr_render.report.blocks import Cell, ReportTable

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from benchmarks.published_data.board_photographs import compare_detectors
+from benchmarks.published_data.flat_surfaces import Lenses, find_planes, fit_planes, flatness_table
 from benchmarks.published_data.itoh_seethrough import read_itoh_seethrough, see_through_session
 from benchmarks.published_data.northstar_vcam import read_northstar_vcam
 from benchmarks.published_data.opencv_decoder import compared_with_opencv, has_opencv_decoder
@@ -21,9 +22,8 @@ from wlr_render.captures.correspondences import Captures, DisplayCaptures
 from wlr_render.captures.patterns.catalogue import GrayCode
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import read_each, read_photograph
-from wlr_render.evaluation.code_quality import Lenses, fit_planes
 from wlr_render.io.atomic_files import output_folder
-from wlr_render.jobs.decode import CodePhotographs, decode_and_assess, flatness_table
+from wlr_render.jobs.decode import CodePhotographs, decode_and_assess
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
@@ -134,8 +134,11 @@ def _procam_graycode(source: Path, out: Path, progress: Progress) -> Report:
     files = CodeFiles(tuple((path,) for path in capture.photographs))
     codes = CodePhotographs(source, files, GrayCode(capture.panel), kind)
     camera, both = Lenses(capture.camera), Lenses(capture.camera, capture.projector)
-    report, decoded, survey = decode_and_assess(codes, out, progress, camera)
+    report, decoded = decode_and_assess(codes, out, progress)
+    progress.say("fitting flat surfaces")
+    survey = fit_planes(decoded, find_planes(decoded, camera), camera)
     tables = [
+        flatness_table(survey, "Homographies of flat surfaces"),
         flatness_table(fit_planes(decoded, survey.label), "Homographies, as photographed"),
         flatness_table(fit_planes(decoded, survey.label, both), "Homographies, camera and projector undistorted"),
     ]

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import file_note
 from wlr_render.errors import BadInputError
-from wlr_render.evaluation.code_quality import NO_LENSES, TOLERANCE_PX, Lenses, PlaneSurvey, find_planes, fit_planes
 from wlr_render.io.atomic_files import output_folder, write_arrays, write_figure
 from wlr_render.io.input_files import prefix_errors
 from wlr_render.io.toml_files import read_toml
@@ -27,13 +26,7 @@ from wlr_render.mappings import Panel
 from wlr_render.report.blocks import Block, Columns, Picture, Report, ReportTable, table
 from wlr_render.work.progress import SILENT, Progress
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 _ACCEPTED, _DARK = "#e4ebdd", "#202020"
-_BLOCK_PX = 4  # side of a block, in camera pixels, that one point of the residual picture averages
-_RANGE_PX = 0.75  # residual, in panel pixels, at the ends of the colour scale
 
 
 @dataclass(frozen=True)
@@ -89,14 +82,11 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     pattern = make_pattern(options.pattern, Panel(*options.panel))
     files = find_code_files(options.folder, pattern.names(), options.order)
     codes = CodePhotographs(options.folder, files, pattern, _camera_format(options))
-    report, *_ = decode_and_assess(codes, options.out, progress)
-    return report
+    return decode_and_assess(codes, options.out, progress)[0]
 
 
-def decode_and_assess(
-    codes: CodePhotographs, out: Path, progress: Progress, lenses: Lenses = NO_LENSES
-) -> tuple[Report, Decoded, PlaneSurvey]:
-    """Decode photographs, and write decoded.npz and pictures; `lenses` undistort pixels to fit flat surfaces.
+def decode_and_assess(codes: CodePhotographs, out: Path, progress: Progress) -> tuple[Report, Decoded]:
+    """Decode photographs, and write decoded.npz and pictures.
 
     Raises:
         BadInputError: the photographs do not decode, or the folder cannot be written.
@@ -107,19 +97,12 @@ def decode_and_assess(
     folder = output_folder(out)
     names = ("pixel", "sigma_px", "confidence", "rejection", "noise_px", "cell_px")
     arrays = write_arrays(folder / "decoded.npz", {name: getattr(decoded, name) for name in names})
-    progress.say("fitting flat surfaces")
-    survey = fit_planes(decoded, find_planes(decoded, lenses), lenses)
     strengths = bit_strengths(codes.files.read(codes.kind), codes.pattern, codes.options)
     pictures = [
         Picture("Decoded positions", _draw_positions(folder / "positions.png", decoded), "Panel position u and v."),
         Picture("Rejections", _draw_rejections(folder / "rejections.png", decoded), "Reason for each camera pixel."),
-        Picture(
-            "Residual of flat surfaces",
-            _draw_residuals(folder / "residuals.png", survey),
-            "Decoded minus predicted, in u and v.",
-        ),
     ]
-    blocks: list[Block] = [_rejection_table(decoded), _strength_table(strengths), flatness_table(survey), *pictures]
+    blocks: list[Block] = [_rejection_table(decoded), _strength_table(strengths), *pictures]
     weak = [bit.name for bit in strengths if bit.weak]
     warnings = [f"Weak bits: {', '.join(weak)}; use the pattern gray-fringes, or more light."] if weak else []
     if missing := [codes.pattern.names()[number] for number in codes.files.missing]:
@@ -136,7 +119,7 @@ def decode_and_assess(
         inputs=[codes.folder],
         files=[arrays, *(picture.path for picture in pictures)],
     )
-    return report, decoded, survey
+    return report, decoded
 
 
 def _camera_format(options: DecodeVerbOptions) -> PhotographFormat:
@@ -172,28 +155,14 @@ def _strength_table(strengths: Sequence[BitStrength]) -> ReportTable:
     return table("Strength of the bits", strengths, columns, notes)
 
 
-def flatness_table(survey: PlaneSurvey, title: str = "Homographies of flat surfaces") -> ReportTable:
-    """Return the residuals of the homographies of flat surfaces, in panel pixels."""
-    columns: Columns = {
-        "of accepted (%)": lambda plane: 100.0 * plane.share,
-        "rms per axis (px)": "rms_per_axis",
-        "median (px)": "residual.median",
-        "95 % (px)": "residual.p95",
-        "smooth part (px)": "smooth_per_axis",
-        "scatter (px)": "scatter_per_axis",
-    }
-    notes = (
-        f"Panel pixels between decoded and predicted; members of a surface lie within {TOLERANCE_PX} px of it.",
-        "Smooth part: rms per axis of means over 16 x 16 camera pixels, from lenses and bent surfaces; scatter: "
-        "about these means. Whole panel pixels would scatter by 0.29 px.",
-    )
-    return table(title, enumerate(survey.planes, 1), columns, notes, name="surface")
-
-
 def _draw_positions(path: Path, decoded: Decoded) -> Path:
     """Draw decoded u and v, side by side."""
-    figure, places = _side_by_side(decoded.rejection.shape)
-    for axis, (place, name) in enumerate(zip(places, "uv", strict=True)):
+    from matplotlib.figure import Figure
+
+    height, width = decoded.rejection.shape
+    figure = Figure(figsize=(14, 6.5 * height / width + 0.8), layout="constrained")
+    for axis, (place, name) in enumerate(zip(figure.subplots(1, 2), "uv", strict=True)):
+        place.set(xticks=[], yticks=[])
         drawn = place.imshow(decoded.pixel[..., axis], cmap="turbo", interpolation="nearest")
         figure.colorbar(drawn, ax=place, label=f"{name} (panel px)", shrink=0.8)
     return write_figure(path, figure, 100)
@@ -223,35 +192,3 @@ def rejection_colours() -> NDArray[np.float64]:
 
     faults = [colormaps["tab10"](number)[:3] for number in range(len(Rejection) - 2)]
     return np.array([to_rgb(_ACCEPTED), to_rgb(_DARK), *faults])
-
-
-def _draw_residuals(path: Path, survey: PlaneSurvey) -> Path:
-    """Draw decoded minus predicted by the surfaces' homographies, in u and v, averaged over small blocks."""
-    figure, places = _side_by_side(survey.label.shape)
-    means = _block_means(survey.residual)
-    for axis, (place, name) in enumerate(zip(places, "uv", strict=True)):
-        drawn = place.imshow(means[..., axis], cmap="RdBu", vmin=-_RANGE_PX, vmax=_RANGE_PX, interpolation="nearest")
-        place.set_title(f"{name}: decoded - predicted, mean of {_BLOCK_PX} x {_BLOCK_PX} camera pixels", fontsize=9)
-        place.set_facecolor("0.75")
-    figure.colorbar(drawn, ax=places, label="panel px", extend="both", shrink=0.8)
-    return write_figure(path, figure, 100)
-
-
-def _side_by_side(shape: tuple[int, ...]) -> tuple["Figure", list["Axes"]]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(14, 6.5 * shape[0] / shape[1] + 0.8), layout="constrained")
-    places = list(figure.subplots(1, 2))
-    for place in places:
-        place.set(xticks=[], yticks=[])
-    return figure, places
-
-
-def _block_means(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return block means (h / block, w / block, 2) without NaN, omitting incomplete blocks at the right and bottom."""
-    rows, columns = (size // _BLOCK_PX for size in values.shape[:2])
-    blocks = values[: rows * _BLOCK_PX, : columns * _BLOCK_PX].reshape(rows, _BLOCK_PX, columns, _BLOCK_PX, 2)
-    valid = np.isfinite(blocks)
-    count = valid.sum(axis=(1, 3))
-    sums = np.where(valid, blocks, 0.0).sum(axis=(1, 3))
-    return np.where(count > 0, sums / np.maximum(count, 1), np.nan).astype(np.float32)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from present import as_number
 
+from benchmarks.published_data.flat_surfaces import Lenses, find_planes, fit_planes
 from benchmarks.published_data.opencv_decoder import (
     OpencvCodes,
     comparison_table,
@@ -14,7 +15,6 @@ from benchmarks.published_data.opencv_decoder import (
 )
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import GrayCode
-from wlr_render.evaluation.code_quality import Lenses, find_planes, fit_planes
 from wlr_render.mappings import Panel
 
 

@@ -35,12 +35,10 @@ def test_positions_tables_and_pictures_are_written(photographed: tuple[Path, Gra
         accepted = decoded["rejection"] == Rejection.ACCEPTED
         assert accepted.mean() > 0.9
         np.testing.assert_allclose(decoded["pixel"][accepted], pattern.panel.pixel_centres()[accepted], atol=0.02)
-    fate, strength, flatness, *_ = json.loads((tmp_path / "out" / "report.json").read_text())["tables"]
+    fate, strength = json.loads((tmp_path / "out" / "report.json").read_text())["tables"]
     assert sum(row["pixels"] for row in fate["rows"]) == 96 * 64
     assert [row["bit"] for row in strength["rows"]] == [name for name in pattern.names()[2:] if "inverse" not in name]
     assert all(row["median"] == 1.0 and row["verdict"] == "" for row in strength["rows"])
-    (surface,) = flatness["rows"]
-    assert surface["rms per axis (px)"] < 0.01
 
 
 def test_photographs_of_another_panel_are_refused(photographed: tuple[Path, GrayCode], tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from wlr_render.captures.decoded import Decoded
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.report.blocks import Columns, ReportTable, table
 
 PixelArray = NDArray[np.floating[Any]]
 
@@ -69,12 +70,10 @@ class PlaneSurvey:
     Attributes:
         planes: one fit per plane.
         label: (h, w) int8 number of the plane; -1 outside all planes.
-        residual: (h, w, 2) float32 decoded minus predicted, panel pixels; NaN outside all planes.
     """
 
     planes: tuple[PlaneFit, ...]
     label: NDArray[np.int8]
-    residual: NDArray[np.float32]
 
 
 def find_planes(decoded: Decoded, lenses: Lenses = NO_LENSES) -> NDArray[np.int8]:
@@ -98,18 +97,14 @@ def fit_planes(decoded: Decoded, label: NDArray[np.int8], lenses: Lenses = NO_LE
     """Fit a homography to each of the labelled surfaces (h, w) by least squares."""
     seen, shown = _undistorted(decoded, lenses)
     number_of = label[decoded.accepted]
-    residual = np.full((*label.shape, 2), np.nan, dtype=np.float32)
     planes = []
     for number in range(int(number_of.max(initial=-1)) + 1):
         members = number_of == number
         homography = _homography(seen[members], shown[members])
-        left = np.full(seen.shape, np.nan)
-        left[members] = shown[members] - _mapped(homography, seen[members])
-        of_plane = np.full_like(residual, np.nan)
-        of_plane[decoded.accepted] = left
-        planes.append(_plane_fit(homography, float(members.mean()), of_plane))
-        residual = np.where(np.isnan(residual), of_plane, residual)
-    return PlaneSurvey(tuple(planes), label, residual)
+        residual = np.full((*label.shape, 2), np.nan, dtype=np.float32)
+        residual[label == number] = shown[members] - _mapped(homography, seen[members])
+        planes.append(_plane_fit(homography, float(members.mean()), residual))
+    return PlaneSurvey(tuple(planes), label)
 
 
 def _plane_fit(homography: FloatArray, share: float, residual: NDArray[np.float32]) -> PlaneFit:
@@ -126,6 +121,24 @@ def distance_to_planes(
     seen, shown = _straightened(lenses.camera, camera_pixel), _straightened(lenses.projector, panel_pixel)
     distances = [np.linalg.norm(shown - _mapped(plane.homography, seen), axis=1) for plane in planes]
     return np.asarray(np.min(distances, axis=0, initial=np.inf))
+
+
+def flatness_table(survey: PlaneSurvey, title: str) -> ReportTable:
+    """Return the residuals of the homographies of flat surfaces, in panel pixels."""
+    columns: Columns = {
+        "of accepted (%)": lambda plane: 100.0 * plane.share,
+        "rms per axis (px)": "rms_per_axis",
+        "median (px)": "residual.median",
+        "95 % (px)": "residual.p95",
+        "smooth part (px)": "smooth_per_axis",
+        "scatter (px)": "scatter_per_axis",
+    }
+    notes = (
+        f"Panel pixels between decoded and predicted; members of a surface lie within {TOLERANCE_PX} px of it.",
+        "Smooth part: rms per axis of means over 16 x 16 camera pixels, from lenses and bent surfaces; scatter: "
+        "about these means. Whole panel pixels would scatter by 0.29 px.",
+    )
+    return table(title, enumerate(survey.planes, 1), columns, notes, name="surface")
 
 
 def _undistorted(decoded: Decoded, lenses: Lenses) -> tuple[FloatArray, FloatArray]:
