@@ -6,14 +6,14 @@ from scipy.stats import binomtest, t
 
 LEVEL = 0.95
 INTERVAL = "95 % interval (%)"
-"""Head of a column of intervals."""
+"""Column heading of intervals."""
 _RESAMPLED = 2000
 
 
 def interval_percent(count: int, total: int) -> str:
-    """95 % confidence interval (Clopper and Pearson) of a share in percent, e.g. "64.4 to 73.5".
+    """Return the 95 % confidence interval (Clopper and Pearson) of a share in percent, e.g. "64.4 to 73.5".
 
-    Where no trial or every trial counts, it is the one-sided bound, e.g. "below 5.4" for 0 of 54.
+    If no trial or every trial counts, it is a one-sided bound, e.g. "below 5.4" for 0 of 54.
     """
     test = binomtest(count, total, alternative={0: "less", total: "greater"}.get(count, "two-sided"))
     found = test.proportion_ci(LEVEL)
@@ -34,10 +34,10 @@ def ratio_interval(numerators: ArrayLike, denominators: ArrayLike) -> tuple[floa
 
 
 def mean_ratio(numerators: ArrayLike, denominators: ArrayLike) -> tuple[float, float, float]:
-    """Geometric mean of the ratios of sessions (n,), two or more, and its 95 % confidence interval.
+    """Return the geometric mean of the ratios of two or more sessions (n,), and its 95 % confidence interval.
 
-    The logarithms of the ratios are taken as normal (Student's t), which holds for a few sessions, too, where a
-    bootstrap is too narrow.
+    The logarithms of the ratios are assumed to be normal (Student's t), which also works for a few sessions, for which
+    a bootstrap interval is too narrow.
     """
     logs = np.log(np.asarray(numerators, np.float64) / np.asarray(denominators, np.float64))
     mean, half = np.mean(logs), t.ppf(0.5 + LEVEL / 2, len(logs) - 1) * np.std(logs, ddof=1) / np.sqrt(len(logs))

@@ -16,19 +16,19 @@ from wlr_render.work.workers import WorkerPool, as_finished
 
 
 class KeptTrial(Protocol):
-    """A trial whose outcome has a file."""
+    """A trial with a file for its outcome."""
 
     @property
     def file(self) -> str:
-        """Name of that file; no other trial has it."""
+        """Name of the file, unique among trials."""
 
 
 AnyTrial = TypeVar("AnyTrial", bound=KeptTrial)
 Outcome = TypeVar("Outcome")
 Run = Callable[[AnyTrial, int], Outcome]
-"""Runs a trial with a seed; returns a dataclass."""
+"""Function that runs a trial with a seed and returns a dataclass."""
 Load = Callable[[AnyTrial, dict[str, Any]], Outcome]
-"""Makes the outcome of a trial from the values of its fields as JSON has them."""
+"""Function that makes the outcome of a trial from the JSON values of its fields."""
 
 
 _KIND, _REMEDY = "the outcome of a trial", "remove it"
@@ -47,7 +47,7 @@ def finished_trials(
     """Yield outcomes in the order in which they finish, see `as_finished`; each seed has its own folder.
 
     Args:
-        run, load: functions for one trial; they must belong to a module, because processes exchange them.
+        run, load: functions for one trial, at module level, because they are passed between processes.
         tasks: the trials.
         seed: seed of all trials.
         folder: folder of the outcomes.
@@ -83,7 +83,7 @@ def kept_outcome(
 
 
 def damaged_outcomes(folder: Path, seed: int) -> list[Path]:
-    """Files of a seed that are not as they were written; their trials are run again."""
+    """Return the files of a seed that were changed or damaged; their trials are run again."""
     return [path for path in sorted((folder / f"seed-{seed}").glob("*.json")) if _read(path) is None]
 
 

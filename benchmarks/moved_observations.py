@@ -1,4 +1,4 @@
-"""Exact observations from other viewpoints, and errors that no exact answer is needed for."""
+"""Exact observations from other viewpoints, and errors that need no exact answer."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 
 def straight_error(observations: SeeThroughObservations) -> FloatArray:
-    """Errors (n,) in arcminutes of assuming straight see-through rays, as an uncalibrated device does."""
+    """Return errors (n,) in arcminutes of straight see-through rays, which an uncalibrated device assumes."""
     straight = directions.normalised(observations.point - observations.viewpoint)
     return directions.arcmin_between(straight, observations.view_dir)
 
@@ -27,17 +27,17 @@ def moved_back(observations: DisplayObservations, distance_m: float | FloatArray
 
 
 def through_depth(view_dir: FloatArray, depth_m: float) -> FloatArray:
-    """Return the length (...) of a ray of direction (..., 3) between two z planes `depth_m` from each other."""
+    """Return the length (...) of a ray in direction (..., 3) between two z planes `depth_m` from each other."""
     return np.asarray(depth_m / -view_dir[..., 2])
 
 
 def self_inconsistency_arcmin(
     candidate: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray, distance_m: FloatArray
 ) -> FloatArray:
-    """Self-inconsistency of a mapping along its own rays.
+    """Return the self-inconsistency of a mapping along its own rays.
 
-    Compares the direction of a pixel (..., 2) at a viewpoint (..., 3) with that at the viewpoint `distance_m` (...)
-    farther back on the same ray, where it must be the same.
+    The direction of a pixel (..., 2) at a viewpoint (..., 3) is compared with its direction at the viewpoint
+    `distance_m` (...) farther back on the same ray, where it must be the same.
 
     Returns:
         (...) arcminutes, zero for any real display; NaN where the mapping has no value.

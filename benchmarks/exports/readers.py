@@ -1,4 +1,4 @@
-"""Other programs that read exports, and a source picture with our own warp of it, which theirs is compared with."""
+"""Other programs that read exports, and a source picture with our own warp for comparison."""
 
 import subprocess
 from pathlib import Path
@@ -13,7 +13,7 @@ from wlr_render.exports.export_view import ExportedView
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 
 DEBIAN_PYTHON = "/usr/bin/python3"
-"""Debian's Python, because python3-mrcal is not installed for the Python that runs the tests."""
+"""Path of Debian's Python, because python3-mrcal is not installed for the Python that runs the tests."""
 _PROJECT = """
 import sys, numpy as np, mrcal
 file, points, pixels = sys.argv[1:]
@@ -26,7 +26,7 @@ _HELD_OUT_COLUMNS, _HELD_OUT_ROWS, _BORDER_PX = 37, 41, 3
 
 
 def smooth_picture(size_px: tuple[int, int], seed: int = 3) -> Float32Array:
-    """(height, width, 3), codes 0 to 255, with detail of some pixels."""
+    """Return a picture (height, width, 3) of codes 0 to 255, with details a few pixels wide."""
     width, height = size_px
     noise = np.random.default_rng(seed).uniform(size=(height, width, 3)).astype(np.float32)
     blurred = cv2.GaussianBlur(noise, (0, 0), 2.0)
@@ -34,7 +34,7 @@ def smooth_picture(size_px: tuple[int, int], seed: int = 3) -> Float32Array:
 
 
 def our_warp(picture: Float32Array, view: ExportedView, colour: str = "all") -> tuple[Float32Array, BoolArray]:
-    """Warp the panel's picture with our own sampling; also return where a pixel has a ray into the source picture."""
+    """Warp the panel's picture with our own sampling; also return which pixels have a ray into the source picture."""
     warped, is_inside = remap(picture, view.source_px(colour))
     return warped, is_inside
 
@@ -51,14 +51,14 @@ def warped_by_openimageio(picture: Float32Array, stmap: Path, size_px: tuple[int
 
 
 def read_by_openimageio(path: Path) -> Float32Array:
-    """All channels of a picture, (height, width, channels)."""
+    """Return all channels of a picture, (height, width, channels)."""
     import OpenImageIO as oiio
 
     return np.asarray(oiio.ImageBuf(str(path)).get_pixels())
 
 
 def drawn_by_ffmpeg(folder: Path, source: NDArray[np.uint8], arguments: list[str], program: str) -> NDArray[np.uint8]:
-    """Let ffmpeg draw a picture (height, width, 3) of `source`, with arguments between its input and its output."""
+    """Let ffmpeg draw a picture (height, width, 3) from `source`, with arguments between input and output."""
     cv2.imwrite(str(folder / "source.png"), source[..., ::-1])
     command = [program, "-v", "error", "-y", "-i", "source.png", *arguments, "panel.png"]
     subprocess.run(command, cwd=folder, check=True, timeout=120)

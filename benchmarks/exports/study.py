@@ -1,4 +1,4 @@
-"""How near other programs come to our own maps when they read exports."""
+"""Differences between other programs that read exports and our own maps."""
 
 import shutil
 import tempfile
@@ -40,7 +40,7 @@ from wlr_render.work.progress import SILENT
 _FAR_M = 1e4
 _JUDGED_PIXELS = 3000
 _TERMS = {5: 0, 8: cv2.CALIB_RATIONAL_MODEL, 12: cv2.CALIB_RATIONAL_MODEL | cv2.CALIB_THIN_PRISM_MODEL}
-"""OpenCV's camera models by their numbers of distortion terms."""
+"""OpenCV's camera models, by number of distortion terms."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class ExportsOptions(Options):
 
 
 def run(options: ExportsOptions = ExportsOptions(), *, progress: ProgressArgument = SILENT) -> Report:
-    """Let each program that is installed read exports of each device; writes exports.html, .md and .json."""
+    """Let each installed program read exports of each device; write exports.html, .md and .json."""
     rows: list[list[Cell]] = []
     with tempfile.TemporaryDirectory() as folder:
         for device in options.devices:
@@ -94,7 +94,7 @@ def _readers() -> dict[str, bool]:
 
 
 def _rows(view: ExportedView, folder: Path) -> Iterator[list[Cell]]:
-    """Yield reader, quantity, unit, rms and largest difference of each installed reader."""
+    """Yield name, quantity, unit, rms and largest difference of each installed reader."""
     there, picture = _readers(), smooth_picture(view.source.camera.size_px)
     ours, inside = our_warp(picture, view)
     if there["OpenImageIO"]:
@@ -129,7 +129,7 @@ def _rows(view: ExportedView, folder: Path) -> Iterator[list[Cell]]:
 
 
 def _seen(view: ExportedView, truth: Eye, folder: Path, words: str) -> Iterator[list[Cell]]:
-    """Points where a reader of the file puts them, seen through the exact optics."""
+    """Yield errors of points at the positions that a reader of the file finds, seen through the exact optics."""
     if find_spec("OpenImageIO") is None:
         return
     (path,) = StMap().write([view], folder)
@@ -149,7 +149,7 @@ def _seen(view: ExportedView, truth: Eye, folder: Path, words: str) -> Iterator[
 
 
 def _opencv_errors(view: ExportedView, flags: int) -> FloatArray:
-    """Errors (n,) in pixels of a camera of OpenCV that is fitted to the pixels' directions."""
+    """Return errors (n,) in pixels of an OpenCV camera that is fitted to the pixels' directions."""
     pixel, points = points_of_pixels(view, _FAR_M)
     in_camera = (points - view.source.position_in_device) @ view.source.device_from_camera
     tangents = in_camera[:, :2] / -in_camera[:, 2:] * [1, -1]
@@ -163,5 +163,5 @@ def _opencv_errors(view: ExportedView, flags: int) -> FloatArray:
 
 
 def _summary(values: FloatArray) -> tuple[float, float]:
-    """Rms and largest magnitude."""
+    """Return rms and largest magnitude."""
     return float(np.sqrt(np.mean(np.square(values, dtype=np.float64)))), float(np.abs(values).max())

@@ -1,4 +1,4 @@
-"""Kill -9 of jobs at moments spread over their time: the resumed run must give the files of an undisturbed one."""
+"""Kill -9 of jobs at times spread over their duration: the resumed run must give the files of an undisturbed run."""
 
 import contextlib
 import json
@@ -25,11 +25,11 @@ from wlr_render.work.progress import SILENT
 
 JobName = Literal["render", "export", "simulate", "calibrate"]
 _LONGEST_END_S = 120.0
-"""In which the processes of a killed run have to end."""
+"""Longest time in which the processes of a killed run have to end."""
 _WAKE_S = 1.0
 """Longest sleep in a wait for a run: Python runs a signal's handler only when the system call that waits returns."""
 _SOONER = 0.8
-"""Factor of the moment of a kill after a run that ended before it."""
+"""Factor on the time of the next kill after a run that ended too early."""
 _SESSION = (
     "--viewpoints",
     "3",
@@ -67,7 +67,7 @@ _DEFAULTS = KillsOptions()
 
 
 def run(options: KillsOptions = _DEFAULTS, *, progress: ProgressArgument = SILENT) -> Report:
-    """Kill, resume and compare; a difference, a process or a file that is left is a fault of the report."""
+    """Kill, resume and compare; the report lists each difference, leftover process or leftover file as a fault."""
     folder = output_folder(options.out)
     rng = np.random.default_rng(options.seed)
     rows: list[list[Cell]] = []
@@ -115,7 +115,7 @@ def _command(name: JobName, options: KillsOptions, folder: Path) -> list[str]:
 
 @contextlib.contextmanager
 def _started(command: Sequence[str], out: Path) -> Iterator["subprocess.Popen[bytes]"]:
-    """Context manager of a run, whose processes have all ended after it."""
+    """Start a run for a block, and end all its processes afterwards."""
     process = subprocess.Popen(
         [*command, str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
     )
@@ -128,7 +128,7 @@ def _started(command: Sequence[str], out: Path) -> Iterator["subprocess.Popen[by
 
 
 def _run(command: Sequence[str], out: Path) -> float:
-    """Run to the end; returns the seconds that it took."""
+    """Run to the end; return the seconds that it took."""
     started = time.monotonic()
     with _started(command, out) as process:
         errors = _errors_at_the_end(process)
@@ -138,9 +138,9 @@ def _run(command: Sequence[str], out: Path) -> float:
 
 
 def _errors_at_the_end(process: "subprocess.Popen[bytes]") -> bytes:
-    """Wait for the end of a run, and return what it has printed to standard error.
+    """Wait for the end of a run, and return its standard error.
 
-    A signal that arrives just before the process falls asleep does not wake it. So it wakes by itself.
+    A signal that arrives just before this process sleeps does not wake it, so it wakes periodically.
     """
     while True:
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -148,7 +148,7 @@ def _errors_at_the_end(process: "subprocess.Popen[bytes]") -> bytes:
 
 
 def _killed(command: Sequence[str], out: Path, moment_s: float) -> float:
-    """Begin a run and kill it after some time, or sooner if it ends before; returns when it was killed."""
+    """Start a run and kill it after some time, or sooner if it ends before; return the time of the kill."""
     while not _kill(command, out, moment_s):
         shutil.rmtree(out)
         moment_s *= _SOONER
@@ -156,29 +156,29 @@ def _killed(command: Sequence[str], out: Path, moment_s: float) -> float:
 
 
 def _kill(command: Sequence[str], out: Path, moment_s: float) -> bool:
-    """Kill a run after some time; returns whether it had not ended before. Its workers have to end with it."""
+    """Kill a run after some time; return whether it was still running. Its workers have to end with it."""
     with _started(command, out) as process:
         time.sleep(moment_s)
         process.kill()
         try:
-            process.communicate(timeout=_LONGEST_END_S)  # to the end of what its workers may print
+            process.communicate(timeout=_LONGEST_END_S)  # until the output of its workers ends
         except subprocess.TimeoutExpired as error:
             raise BadInputError(f"{out}: workers outlive their parent, killed after {moment_s:.3f} s.") from error
     return process.returncode == -signal.SIGKILL
 
 
 def _left(out: Path) -> list[str]:
-    """Hidden files."""
+    """Return leftover hidden files."""
     return [str(path) for path in out.rglob(".*")]
 
 
 def _differences(found: dict[str, object], expected: dict[str, object]) -> list[str]:
-    """Names of files that differ, or that one of both runs alone has written."""
+    """Return the names of files that differ, or that only one of the two runs has written."""
     return sorted(name for name in found | expected if name not in found or found[name] != expected.get(name))
 
 
 def results(out: Path) -> dict[str, object]:
-    """Content of the result files of a job, without what names the run: dates, commands, counts, process times."""
+    """Return the content of a job's result files, without data of the run: dates, commands, counts, process times."""
     found: dict[str, object] = {}
     for path in out.rglob("*"):
         name = str(path.relative_to(out))

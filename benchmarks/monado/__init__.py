@@ -1,1 +1,1 @@
-"""Monado as the reader of our distortion."""
+"""Monado as a reader of our distortion."""

@@ -10,7 +10,7 @@ from wlr_render.exports.export_view import ExportedView
 from wlr_render.numerics.arrays import FloatArray
 
 EYE_CODES = {"left": 64, "right": 192}
-"""Blue of each eye's picture, as `session.py` paints it; red is the position from the left, green from the top."""
+"""Blue of each eye's picture, as painted by `session.py`; red is the position from the left, green from the top."""
 _BLOCK = 40
 
 
@@ -22,11 +22,11 @@ class PositionErrors:
         eye: "left" or "right".
         axis: "across" or "down".
         window_px: (width, height) of the eye's part of the window.
-        rms, mean, largest: over its pixels; rounding to whole codes alone is 0.29 rms.
-        largest_block_mean: of blocks of 40 x 40 pixels, in which rounding averages out.
-        same_without_colours: the same after the mean error of each code is subtracted: the error of converting colours
-            depends on the code alone. A map that errs by a function of the code alone would be hidden too.
-        reversed_rms: the same window with its rows in reverse, to show that the comparison can fail.
+        rms, mean, largest: statistics over its pixels; rounding to whole codes alone is 0.29 rms.
+        largest_block_mean: largest mean of blocks of 40 x 40 pixels, in which rounding averages out.
+        same_without_colours: statistics after the mean error of each code is subtracted, because the error of colour
+            conversion depends on the code alone. A map error that depends on the code alone would be hidden too.
+        reversed_rms: rms of the same window with its rows in reverse, to show that the comparison can fail.
     """
 
     eye: str
@@ -41,11 +41,12 @@ class PositionErrors:
 
 
 def position_errors(screen: NDArray[np.uint8], fov: FloatArray, view: ExportedView) -> list[PositionErrors]:
-    """Errors across and down.
+    """Return the errors across and down.
 
     Args:
         screen: (height, width, 3) RGB.
-        fov: (4,) borders of the eye's picture as the OpenXR client sees them: angles left, right, up, down.
+        fov: (4,) angles of the left, right, upper and lower border of the eye's picture, as the OpenXR client gets
+            them.
         view: the eye as it was exported.
 
     Raises:
@@ -64,7 +65,7 @@ def position_errors(screen: NDArray[np.uint8], fov: FloatArray, view: ExportedVi
 
 
 def _window(screen: NDArray[np.uint8], eye: str) -> FloatArray:
-    """Red and green of an eye's part of the screen, (height, width, 2)."""
+    """Return red and green of an eye's part of the screen, (height, width, 2)."""
     shows = screen[..., 2] == EYE_CODES[eye]
     rows, columns = np.flatnonzero(shows.any(axis=1)), np.flatnonzero(shows.any(axis=0))
     if not len(rows):

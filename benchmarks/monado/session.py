@@ -1,9 +1,9 @@
 # mypy: ignore-errors
-# It runs with the libraries of another system.
-"""Monado with a configuration, and a client that shows it positions as colours; keeps what its window shows.
+# This script runs with the libraries of another system.
+"""Monado with a configuration, and a client that draws positions as colours; saves the content of Monado's window.
 
 Runs in the Debian that `prepare.sh` makes: `python3 session.py CONFIGURATION RESULT`. The result, .npz, has the screen,
-and the eyes as the client saw them.
+and the views that the client got.
 """
 
 import contextlib
@@ -21,16 +21,16 @@ import numpy as np
 import xr
 
 SIZE = 1024
-"""Pixels of each eye's picture along each side."""
+"""Width and height of each eye's picture, pixels."""
 EYE_CODES = 64, 192
-"""Blue of the left and the right eye's picture."""
+"""Blue codes of the left and the right eye's picture."""
 STEREO = xr.ViewConfigurationType.PRIMARY_STEREO
 SRGB8_ALPHA8 = 0x8C43  # codes pass unchanged
 PATIENCE_S = 120
 
 
 def main(configuration, result):
-    """Run Monado, show the pictures, keep the screen."""
+    """Run Monado, show the pictures, save the screen."""
     folder = Path(tempfile.mkdtemp())
     with contextlib.ExitStack() as running:
         screen = ["Xvfb", "-displayfd", "1", "-screen", "0", "3200x1700x24", "-fbdir", str(folder)]
@@ -38,7 +38,7 @@ def main(configuration, result):
         os.environ |= {
             "XDG_RUNTIME_DIR": str(folder),
             "XR_RUNTIME_JSON": "/usr/share/openxr/1/openxr_monado.json",
-            "IPC_IGNORE_VERSION": "1",  # Debian's client library and the service built here state different builds
+            "IPC_IGNORE_VERSION": "1",  # Debian's client library and the service built here have different versions
         }
         (service,) = Path("/opt/monado").glob("monado-*/build/src/xrt/targets/service/monado-service")
         settings = {
@@ -58,7 +58,7 @@ def main(configuration, result):
 
 
 def start(running, command, folder, **settings):
-    """Start a program that ends with `running`; its output goes to a file of its name."""
+    """Start a program that is terminated with `running`; its output goes to a file with its name."""
     log = (folder / Path(command[0]).name).open("wb")
     settings = {"stdout": log, "stderr": log, "stdin": subprocess.DEVNULL} | settings
     process = subprocess.Popen(command, **settings)
@@ -67,7 +67,7 @@ def start(running, command, folder, **settings):
 
 
 def wait_for(condition, log):
-    """Wait until Monado has come so far; its log says why it has not."""
+    """Wait until a condition on Monado holds; exit with Monado's log after `PATIENCE_S`."""
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         if time.monotonic() > deadline:
@@ -76,7 +76,7 @@ def wait_for(condition, log):
 
 
 def screenshot(file):
-    """(height, width, 3) RGB of a screen of 24 bits in the XWD file that Xvfb keeps."""
+    """Return a 24-bit screen as RGB (height, width, 3), from the XWD file of Xvfb."""
     content = file.read_bytes()
     header = np.frombuffer(content[:100], ">u4")
     width, height, line, colours = (int(header[k]) for k in (4, 5, 12, 19))
@@ -85,7 +85,7 @@ def screenshot(file):
 
 
 class Client:
-    """An OpenXR session whose pictures have red and green that grow with the position in the eye's field of view."""
+    """An OpenXR session with pictures in which red and green grow with the position in the eye's field of view."""
 
     def __init__(self):
         self.context = moderngl.create_context(standalone=True, backend="egl")
@@ -95,11 +95,11 @@ class Client:
             xr.InstanceCreateInfo(application_info=about, enabled_extension_names=wanted)
         )
         system = xr.get_system(self.instance, xr.SystemGetInfo(xr.FormFactor.HEAD_MOUNTED_DISPLAY))
-        xr.get_opengl_graphics_requirements_khr(self.instance, system)  # OpenXR demands the call
+        xr.get_opengl_graphics_requirements_khr(self.instance, system)  # OpenXR requires this call
         self.binding = egl_binding()
         chained = ctypes.cast(ctypes.pointer(self.binding), ctypes.c_void_p)
         self.session = xr.create_session(self.instance, xr.SessionCreateInfo(system_id=system, next=chained))
-        # The view's own space: the runtime's timewarp has nothing to do.
+        # VIEW space, so that the runtime's timewarp changes nothing.
         self.space = xr.create_reference_space(self.session, xr.ReferenceSpaceCreateInfo(xr.ReferenceSpaceType.VIEW))
         usage = xr.SwapchainUsageFlags.COLOR_ATTACHMENT_BIT | xr.SwapchainUsageFlags.SAMPLED_BIT
         sizes = {"width": SIZE, "height": SIZE, "face_count": 1, "array_size": 1, "mip_count": 1, "sample_count": 1}
@@ -112,7 +112,7 @@ class Client:
         return [self.context.external_texture(each.image, (SIZE, SIZE), 4, 0, "f1") for each in images]
 
     def show(self, look, log):
-        """Submit frames until the screen shows both eyes and stays as it is: the views, and the screen."""
+        """Submit frames until the screen shows both eyes and no longer changes; return the views and the screen."""
         deadline, last = time.monotonic() + PATIENCE_S, None
         self._begin(deadline)
         for number in range(10_000):
@@ -162,7 +162,7 @@ class Client:
 
 
 def positions(blue):
-    """Codes (SIZE, SIZE, 4): red from the left border, green from the top border; OpenGL's first row is the bottom."""
+    """Return codes (SIZE, SIZE, 4): red from the left border, green from the top; OpenGL's first row is the bottom."""
     along = np.rint((np.arange(SIZE) + 0.5) / SIZE * 255).astype(np.uint8)
     picture = np.full((SIZE, SIZE, 4), 255, np.uint8)
     picture[..., 0], picture[..., 1], picture[..., 2] = along, along[::-1, None], blue

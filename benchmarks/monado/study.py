@@ -1,4 +1,4 @@
-"""Monado's compositor as the reader of `export --format monado`: its window against our own map."""
+"""Monado's compositor as a reader of `export --format monado`: its window against our own map."""
 
 import os
 import shutil
@@ -44,10 +44,10 @@ class MonadoOptions(Options):
 
 
 def run(options: MonadoOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Run Monado with an export; writes monado.html, .md and .json into `options.out`.
+    """Run Monado with an export; write monado.html, .md and .json into `options.out`.
 
     Raises:
-        BadInputError: a user who is not root, a step that fails, or what `export` refuses.
+        BadInputError: a user who is not root, a step that fails, or an error of `export`.
     """
     if os.geteuid() or shutil.which("debootstrap") is None:
         raise BadInputError("monado: runs as root, on a Debian that has debootstrap: apt-get install debootstrap")
@@ -75,7 +75,7 @@ def _completed(command: list[str]) -> None:
     """Run a command to its end.
 
     Raises:
-        BadInputError: it failed; the sentence has its last lines.
+        BadInputError: the command failed; the message has its last lines of output.
     """
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     if done.returncode:
