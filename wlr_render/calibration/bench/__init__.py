@@ -1,1 +1,1 @@
-"""One joint adjustment of a photographic bench: lenses, board, target poses, stage and every photograph's offset."""
+"""Joint adjustment of a photographic bench: lenses, board, target poses, stage and every photograph's offset."""

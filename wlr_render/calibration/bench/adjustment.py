@@ -1,6 +1,6 @@
-"""The joint adjustment: every unknown of a bench from all direct views at once, with its covariance.
+"""Joint adjustment of every unknown of a bench from all direct views at once, with covariance.
 
-Gauss-Newton steps. The sizes of the stage's errors and the noise are hyperparameters that maximise the evidence
+The method is Gauss-Newton. The sizes of the stage's errors and the noise are hyperparameters that maximise the evidence
 (`numerics.evidence`).
 """
 
@@ -18,14 +18,14 @@ from wlr_render.numerics.evidence import Prior, Sums, maximise, posterior
 from wlr_render.numerics.posterior import Posterior
 
 _ROUNDS, _HALVINGS = 15, 6  # most rounds; most halvings of a step that leads uphill
-_ROUGH, _SETTLED = 1.0, 0.05  # step of the worst unknown, sigmas: sizes are then worth finding; and the fit has ended
-_SAME = 0.01  # relative change of sizes that ends the rounds: their standard errors are 5 % and more
-_FEATURES_CHANGE = 3.0  # factor by which features' size may change in one round: the fixed point overshoots at first
-_ROUNDING = 1e-7  # share of the sum of squares
+_ROUGH, _SETTLED = 1.0, 0.05  # largest step, in sigmas, for an estimate of sizes, and at the end of the fit
+_SAME = 0.01  # relative change of sizes that ends the rounds; their standard errors are 5 % and more
+_FEATURES_CHANGE = 3.0  # largest change of the features' size in a round, a factor; the fixed point overshoots at first
+_ROUNDING = 1e-7  # largest relative increase of the sum of squares due to rounding
 
 
 class UndeterminedError(ValueError):
-    """The views do not determine the bench."""
+    """Error for views that do not determine the bench."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +34,14 @@ class Adjustment:
 
     Attributes:
         state: values of all unknowns.
-        layout: of the unknowns in `covariance`.
-        covariance: (unknowns, unknowns), small motions and values as `BenchState.moved` takes them.
-        sizes: variance components found.
-        normal: the equations at the solution.
+        layout: layout of the unknowns in `covariance`.
+        covariance: (unknowns, unknowns) covariance of small motions and values, as in steps of `BenchState.moved`.
+        sizes: estimated variance components.
+        normal: normal equations at the solution.
         hyper: logarithms of the hyperparameters.
-        chi_square: by camera that saw a board, reduced: sum of squares in units of the stated sigmas, over readings
-            less unknowns.
-        is_settled: whether the steps ended at a minimum; otherwise the views contradict each other.
+        chi_square: reduced chi-squared of each camera that saw a board: sum of squares in units of the stated sigmas,
+            divided by readings minus unknowns.
+        is_settled: True if the steps ended at a minimum; otherwise the views contradict each other.
     """
 
     state: BenchState
@@ -54,14 +54,14 @@ class Adjustment:
     is_settled: bool
 
     def covariance_of(self, keys: Sequence[Key]) -> FloatArray:
-        """Joint covariance of some blocks, one after the other."""
+        """Return the joint covariance of some blocks, in the order of `keys`."""
         columns = self.layout.columns(keys)
         return self.covariance[np.ix_(columns, columns)]
 
     def camera_poses(self, places: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         """Return device_from_camera (n, 4, 4) at places, and the covariance (6 n, 6 n) of small motions, device frame.
 
-        Errors of the stage that no view measured are in the covariance, independent from place to place.
+        The covariance includes errors of the stage that no view measured, as independent from place to place.
         """
         poses, rows, own = self.camera_rows(places)
         flat = np.concatenate(rows)
@@ -73,7 +73,7 @@ class Adjustment:
     def relative_motion(self, one: str, other: str) -> tuple[FloatArray, FloatArray]:
         """Return device_from_camera (2, 4, 4) at two places, and the covariance (6, 6) of the motion between them.
 
-        Small motions about the device's origin. Errors that both places share are not in it.
+        The motion is small and about the device's origin. The covariance excludes errors that both places share.
         """
         poses, rows, _ = self.camera_rows([one, other])
         apart = rows[1] - rows[0]
@@ -89,8 +89,8 @@ class Adjustment:
         """Return device_from_camera at places and its derivatives by the unknowns.
 
         Returns:
-            The poses (n, 4, 4), small motions (n, 6, unknowns) of them in the device frame by each unknown, and the
-            covariance (n, 6, 6) of the stage's errors that are not unknowns, because no view measured them.
+            The poses (n, 4, 4), their small motions (n, 6, unknowns) by each unknown, device frame, and the covariance
+            (n, 6, 6) of stage errors that are not unknowns, because no view measured them.
         """
         poses, rows, own = [], [], []
         for place in places:
@@ -107,7 +107,7 @@ class Adjustment:
         return np.array(poses), np.array(rows), np.array(own)
 
     def _unmeasured(self, place: str) -> dict[Key, FloatArray]:
-        """(6, 6) covariances, camera's frame, of the errors of one visit and of axis readings that no view measured."""
+        """Return covariances (6, 6), camera frame, of errors of a visit and of axis readings that no view measured."""
         found = {}
         for key, columns in self.state.visit_motion(place).items():
             if key not in self.state.blocks:
@@ -116,19 +116,19 @@ class Adjustment:
         return found
 
     def camera_pose(self, place: str) -> Pose:
-        """device_from_camera at a place, with its covariance."""
+        """Return device_from_camera at a place, with its covariance."""
         poses, covariance = self.camera_poses([place])
         return Pose(poses[0], covariance)
 
     def target_pose(self, number: int) -> Pose:
-        """device_from_target, with its covariance in the device frame."""
+        """Return device_from_target, with its covariance in the device frame."""
         pose = self.state.targets[number]
         to_device = adjoint(pose)
         return Pose(pose, to_device @ self.covariance_of([("target", number)]) @ to_device.T)
 
 
 def adjust(start: BenchState) -> Adjustment:
-    """Find the values of all unknowns, the sizes of the stage's errors and the noise.
+    """Estimate all unknowns, the sizes of the stage's errors and the noise.
 
     Args:
         start: values near the solution.
@@ -175,9 +175,9 @@ def _alike(one: Sizes, other: Sizes) -> bool:
 def _stepped(
     state: BenchState, normal: Normal, layout: Layout, prior: Prior, hyper: FloatArray, sizes: Sizes
 ) -> tuple[BenchState, Normal, Posterior, float]:
-    """One Gauss-Newton step, halved where it leads uphill; the same state where no part of it leads downhill.
+    """Take one Gauss-Newton step, halved while it increases the cost; keep the state if no part of it lowers the cost.
 
-    The last value is the length of the whole step, in sigmas of the worst unknown.
+    The last return value is the length of the whole step, in sigmas of the worst unknown.
     """
     width = layout.size * np.exp(prior.mixed_features @ hyper)
     cost = _cost(state, layout, width, sizes, normal)
@@ -193,7 +193,7 @@ def _stepped(
     for _ in range(_HALVINGS):
         tried = state.moved(step)
         now = _sound(tried, layout, sizes)
-        # Features that a step carries out of a camera's sight cost nothing; that is not a gain.
+        # Features outside a camera's field have no cost, so that losing features must not count as a gain.
         if (
             now is not None
             and now.count >= normal.count
@@ -205,7 +205,7 @@ def _stepped(
 
 
 def _sound(state: BenchState, layout: Layout, sizes: Sizes) -> Normal | None:
-    """Return the normal equations; None where a board is so near a camera that they are not finite."""
+    """Return the normal equations; None if a board is so near a camera that they are not finite."""
     try:
         return Normal(state, layout, sizes, {})
     except np.linalg.LinAlgError:
@@ -220,14 +220,14 @@ def _solved(normal: Normal, layout: Layout, prior: Prior, hyper: FloatArray) -> 
 
 
 def _cost(state: BenchState, layout: Layout, width: FloatArray, sizes: Sizes, normal: Normal) -> float:
-    """Huber's loss in units of sigma squared, with the squares of what has a prior."""
+    """Return the cost in units of sigma squared: Huber's loss plus squared deviations from priors."""
     before = state.deviation(layout.where)
     features = sum(float(np.sum(shape.place**2)) / sizes.feature_m[name] ** 2 for name, shape in state.shape.items())
     return normal.loss + float(np.sum((before / width) ** 2)) + features
 
 
 def _noise(normal: Normal, sizes: Sizes, found: Posterior) -> dict[str, float]:
-    """Return the noise factor of each camera: rms residual over its degrees of freedom, in stated sigmas."""
+    """Return the noise factor of each camera: rms residual per degree of freedom, in stated sigmas."""
     determined = 1.0 - np.diag(found.side_covariance) / found.sizes[: len(found.side_used)] ** 2
     features = sum(normal.determined_features(name, sizes.feature_m[name]) for name in normal.features)
     every, factors = sum(normal.informed.values()), dict(sizes.noise)
@@ -251,10 +251,10 @@ def _feature_size(state: BenchState, name: str, normal: Normal, sizes: Sizes) ->
 
 
 def _best_hyper(normal: Normal, layout: Layout, prior: Prior, hyper: FloatArray, everywhere: bool) -> FloatArray:
-    """Return hyperparameters of greatest evidence, and no noise: `_noise` finds one for each camera.
+    """Return the hyperparameters of greatest evidence, with zero noise, which `_noise` estimates for each camera.
 
-    Unknowns whose priors do not depend on them are integrated out first. The search has a common noise, so that
-    no size takes up readings that scatter more than `normal` expects.
+    Unknowns whose priors do not depend on hyperparameters are integrated out first. The search has a common noise, so
+    that no size absorbs readings that scatter more than `normal` expects.
     """
     is_kept = np.any(layout.features, axis=1)
     kept, gone = np.flatnonzero(is_kept), np.flatnonzero(~is_kept)
@@ -274,4 +274,4 @@ def _best_hyper(normal: Normal, layout: Layout, prior: Prior, hyper: FloatArray,
     return np.array([best.hyper[name] * (name != "noise") for name in HYPER])
 
 
-_STARTS = (0.2, 4.0)  # sizes over the usual ones from which the search for sizes starts, too
+_STARTS = (0.2, 4.0)  # further starts of the search for sizes, in usual sizes

@@ -1,6 +1,6 @@
-"""A table of the unknowns of a bench: value, prior and source of error of each block, and how a step moves it.
+"""Unknowns of a bench in blocks: value, prior, source of error, and effect of a step on the value.
 
-`BenchState` has the values, and a `Layout` the place of each block in the vector of unknowns, with its prior. The
+`BenchState` has the values, and `Layout` has the place of each block in the vector of unknowns, with its prior. The
 functions `..._block` state the priors.
 """
 
@@ -26,11 +26,11 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.evidence import Prior
 
 Key = tuple[str, int | str]
-"""Name of a block of unknowns: its kind, and its camera, board, target, axis, place or view."""
+"""Name of a block of unknowns: kind, and camera, board, target, axis, place or view."""
 EXACT = 1e-9
-"""Prior size of what counts as exact: radians, metres, per unit."""
+"""Prior size of exact unknowns: radians, metres, per unit."""
 FEATURES = "features"
-"""Blocks of this name are integrated out one feature at a time; they have no place in a `Layout`."""
+"""Kind of blocks that are integrated out one feature at a time, and that have no place in a `Layout`."""
 USUAL_SIZES = {
     "turn": usual.STAGE_TURN_RAD,
     "shift": usual.STAGE_REPEATABILITY_M,
@@ -45,41 +45,41 @@ USUAL_SIZES = {
 }
 """Sizes of ordinary benches by hyperparameter."""
 FALL = "smooth fall"
-"""Hyperparameter: fall of the logarithm of the stage's smooth errors from one degree to the next."""
-_BOUNDS = np.log(1e-9), np.log(1e-2)  # sizes in radians, metres or ratios, from exact to worse than any stage or board
-_BOUNDS_PX = np.log(1e-4), np.log(3.0)  # sizes in pixels, from far below noise to a lens of another kind
+"""Hyperparameter for the decrease of the log size of the stage's smooth errors from degree to degree."""
+_BOUNDS = np.log(1e-9), np.log(1e-2)  # bounds of sizes in radians, metres or ratios: exact, worse than any bench
+_BOUNDS_PX = np.log(1e-4), np.log(3.0)  # bounds of sizes in pixels: far below noise, a lens of another kind
 _HYPERPRIORS = {
     **{
         name: (np.log(each.value), each.log_sigma, *(_BOUNDS_PX if each.unit == "px" else _BOUNDS))
         for name, each in USUAL_SIZES.items()
     },
-    FALL: (0.7, 0.3, 0.1, 2.0),  # rails bend more than they wave: by a factor of 2 with each degree
-    "noise": (0.0, 0.3, -2.0, 2.0),  # common factor in the search for sizes; `Sizes.noise` has one for each camera
+    FALL: (0.7, 0.3, 0.1, 2.0),  # rail errors halve with each degree
+    "noise": (0.0, 0.3, -2.0, 2.0),  # common factor in the search for sizes; `Sizes.noise` has a factor for each camera
 }
-"""Prior mean and sigma of each hyperparameter, and its bounds."""
+"""Prior mean, prior sigma and bounds of each hyperparameter."""
 HYPER = tuple(_HYPERPRIORS)
 SMOOTH_DEGREE = 3
-"""Degree of the smooth error of a stage's axis in its reading."""
+"""Degree of a stage axis' smooth error as a polynomial of the reading."""
 AXIS_PARTS = {"linear": slice(3, 6), "rotary": slice(0, 3)}
-"""The part of an axis' twist that points along it."""
+"""Part of an axis' twist that is a vector along the axis."""
 FLAT = 10.0
 """Prior size of an unknown without prior knowledge: radians, metres, per unit."""
 TURNS = np.repeat([1.0, 0.0], 3)
-"""Rotations among the six parts of a motion."""
+"""Indicator of the rotations among the six parts of a motion."""
 _NO_HYPER: Mapping[str, Any] = {}
 _POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
-"""Power of the distance from the centre with which a term displaces, relative to that distance; 1 for the others."""
+"""Power of the distance from the centre in a term's displacement, relative to this distance; 1 for other terms."""
 _HELD = ("k4", "k5", "k6", "s1", "s2", "s3", "s4")  # terms of perspective lenses that a residual field replaces
-_LIKE_A_TURN = ("s1", "s3")  # terms that look like p1, p2 and a turn: a residual of 0.1 px turns the camera by 30'
+_LIKE_A_TURN = ("s1", "s3")  # terms confusable with p1, p2 and a turn; a residual of 0.1 px turns the camera by 30'
 
 
 @dataclass(frozen=True)
 class Chart:
-    """Steps of one kind of value.
+    """Parametrisation of small steps of one kind of value.
 
     Attributes:
-        moved: value, step (k,) -> value.
-        apart: middle of the prior, value -> step (k,) from the middle to the value.
+        moved: (value, step (k,)) -> value.
+        apart: (middle of the prior, value) -> step (k,) from the middle to the value.
     """
 
     moved: Callable[[Any, FloatArray], Any]
@@ -87,14 +87,14 @@ class Chart:
 
 
 def _motion_after(nominal: FloatArray, pose: FloatArray) -> FloatArray:
-    """(6,) small motion m with pose = nominal @ small_motion(m)."""
+    """Return the small motion m (6,) with pose = nominal @ small_motion(m)."""
     return motion_between(np.eye(4), transforms.inverse(nominal) @ pose)
 
 
 NUMBERS = Chart(lambda value, step: value + step.reshape(value.shape), lambda middle, value: (value - middle).ravel())
 POSE = Chart(lambda pose, step: pose @ small_motion(step), _motion_after)
 HELD_POSE = Chart(lambda pose, step: small_motion(step) @ pose, motion_between)
-"""Steps of a pose in the frame from which it maps, or to which it maps."""
+"""Steps of a pose in its source frame (`POSE`) or in its target frame."""
 LENS = Chart(
     lambda lens, step: lens.with_values(lens.values + step), lambda middle, lens: np.asarray(lens.values - middle)
 )
@@ -106,11 +106,11 @@ class Block:
 
     Attributes:
         value: numbers, a pose (4, 4), or a lens.
-        size: (k,) prior sizes; of unknowns with a hyperparameter, multiples of its size.
-        middle: of the prior, like `value`, of a lens its values. NaN or None where nothing is known beforehand.
-        hyper: (k,) or a number, change of the logarithm of each prior size by a hyperparameter, by its name.
-        source: of the errors that all captures share, as a budget names it; "" of errors of one photograph.
-        chart: how steps move the value.
+        size: (k,) prior sizes; for unknowns with a hyperparameter, multiples of the hyperparameter's size.
+        middle: middle of the prior, like `value`, or the values of a lens. NaN or None without prior knowledge.
+        hyper: (k,) or a number, change of the logarithm of each prior size by a hyperparameter, by name.
+        source: source of errors common to all captures, in an error budget; "" for errors of one photograph.
+        chart: parametrisation of steps of the value.
     """
 
     value: Any
@@ -126,7 +126,7 @@ class Block:
 
     @property
     def deviation(self) -> FloatArray:
-        """(k,) step from the middle of the prior to the value; zero where nothing is known beforehand."""
+        """Step (k,) from the middle of the prior to the value; zero without prior knowledge."""
         if self.middle is None:
             return np.zeros(len(self.size))
         return np.nan_to_num(self.chart.apart(self.middle, self.value))
@@ -137,8 +137,8 @@ class Sizes:
     """Variance components of a bench.
 
     Attributes:
-        by: standard deviations per axis of the errors that `USUAL_SIZES` names.
-        feature_m: error of a feature on each board beyond its smooth field.
+        by: standard deviations per axis, by the names in `USUAL_SIZES`.
+        feature_m: error of a feature beyond the smooth field, by board.
         noise: factor on the stated sigma of the features, by camera.
     """
 
@@ -148,7 +148,7 @@ class Sizes:
 
     @classmethod
     def of(cls, hyper: FloatArray, feature_m: Mapping[str, float], noise: Mapping[str, float]) -> "Sizes":
-        """Return the sizes by the hyperparameters, logarithms of the sizes."""
+        """Return the sizes from the hyperparameters, which are logarithms of the sizes."""
         values = dict(zip(HYPER, map(float, hyper), strict=True))
         return cls({name: float(np.exp(values[name])) for name in USUAL_SIZES}, feature_m, noise)
 
@@ -157,17 +157,17 @@ class Sizes:
 
     @property
     def visit(self) -> FloatArray:
-        """(6,) random error of the stage in each visit: rotation (rad), then position (m)."""
+        """Sizes (6,) of the stage's random error in each visit: rotation (rad), then position (m)."""
         return np.repeat([self["turn"], self["shift"]], 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Columns of each block of unknowns in one vector, and its prior.
+    """Columns of each block in the vector of unknowns, and the prior of this vector.
 
     Attributes:
         where: columns of each block.
-        size: (unknowns,) prior sizes, of those with a hyperparameter as a multiple of it.
+        size: (unknowns,) prior sizes; for unknowns with a hyperparameter, multiples of the hyperparameter's size.
         features: (unknowns, hyperparameters) change of the logarithms of the prior sizes by each of `HYPER`.
     """
 
@@ -177,7 +177,7 @@ class Layout:
 
     @classmethod
     def of(cls, blocks: Mapping[Key, Block]) -> "Layout":
-        """Return the places of all blocks but `FEATURES`."""
+        """Return the layout of all blocks except `FEATURES`."""
         where: dict[Key, slice] = {}
         size: list[FloatArray] = []
         features: list[FloatArray] = []
@@ -194,21 +194,21 @@ class Layout:
 
     @property
     def has_sizes(self) -> bool:
-        """True if the views find the size of any unknown."""
+        """True if the size of any unknown is estimated from the views."""
         return bool(np.any(self.features))
 
     def columns(self, keys: Sequence[Key]) -> IntArray:
-        """Columns of some blocks, one after the other."""
+        """Return the columns of some blocks, in the order of `keys`."""
         parts = [np.arange(self.where[key].start, self.where[key].stop) for key in keys]
         return np.concatenate(parts) if parts else np.zeros(0, np.int64)
 
     def steps(self, vector: FloatArray) -> dict[Key, FloatArray]:
-        """Return the vector by block."""
+        """Return the parts of a vector of unknowns, by block."""
         return {key: vector[where] for key, where in self.where.items()}
 
     @property
     def prior(self) -> Prior:
-        """Prior of the unknowns, by the hyperparameters `HYPER`."""
+        """Prior of the unknowns as a function of the hyperparameters `HYPER`."""
         table, none = np.array(list(_HYPERPRIORS.values())), np.zeros((0, len(HYPER)))
         return Prior(HYPER, table[:, 2:], table[:, :2], none, self.features, none)
 
@@ -225,7 +225,7 @@ def lens_block(name: str, lens: Lens, setup: CameraSetup) -> Block:
         known = np.zeros(len(lens.values)) if setup.calibrated_sigma is None else setup.calibrated_sigma
         return Block(lens, known, setup.calibrated.values, source=source, chart=LENS)
     sizes, hyper = np.full(len(lens.values), 0.3 * float(np.mean(lens.focal_px))), {}
-    # A term may be as large as to displace the corner of the picture by its distance from the centre.
+    # The largest term displaces the corner of the picture by the corner's distance from the centre.
     corner = float(np.linalg.norm(0.5 * np.array(lens.size_px) / lens.focal_px))
     sizes[4:] = [
         EXACT if term in _LIKE_A_TURN else max(1.0, corner ** -_POWERS.get(term, 1)) for term in lens.names[4:]
@@ -245,7 +245,7 @@ def lens_source(name: str) -> str:
 
 
 def with_residual(lens: Lens, setup: CameraSetup) -> Lens:
-    """Return a lens with a residual field for the fit to estimate; a stated lens stays as it is."""
+    """Return a lens with a residual field for the fit to estimate; a stated lens stays unchanged."""
     return ResidualLens.of(lens) if isinstance(lens, LensCamera) and setup.calibrated is None else lens
 
 
@@ -272,10 +272,10 @@ def pose_block(pose: FloatArray, known: KnownPose | None, source: str) -> Block:
 
 
 def axis_block(axis: StageAxis, twist: FloatArray, base: FloatArray) -> Block:
-    """Return the block of an axis with a twist (6,), with its scale known along it, and its direction's sigma across.
+    """Return the block of an axis, with a prior of the scale along it and of the direction across it.
 
     Args:
-        axis: as stated. twist: (6,). base: (4, 4) device_from_camera in the first mounting.
+        axis: the stated axis. twist: (6,) starting value. base: (4, 4) device_from_camera in the first mounting.
     """
     stated = stated_twist(axis, base)
     sizes = np.full(6, FLAT)
@@ -291,7 +291,7 @@ def axis_block(axis: StageAxis, twist: FloatArray, base: FloatArray) -> Block:
 
 
 def stage_error_blocks(axes: Sequence[StageAxis]) -> dict[Key, Block]:
-    """Return the blocks of the stage's smooth error; the linear motion of an axis is its twist's."""
+    """Return the blocks of the stage's smooth error, without linear motions, which the axes' twists describe."""
     blocks: dict[Key, Block] = {}
     for (number, axis), degree in product(enumerate(axes), range(1, SMOOTH_DEGREE + 1)):
         sizes = np.ones(6)
@@ -303,10 +303,10 @@ def stage_error_blocks(axes: Sequence[StageAxis]) -> dict[Key, Block]:
 
 
 def stated_twist(axis: StageAxis, base: FloatArray) -> FloatArray:
-    """(6,) twist of an axis in the camera's frame by its stated direction and pivot; zero where they are not stated.
+    """Return the twist (6,) of an axis, camera frame, from stated direction and pivot; zero for parts not stated.
 
     Args:
-        axis: of the stage. base: (4, 4) device_from_camera at the stage's reference.
+        axis: axis of the stage. base: (4, 4) device_from_camera at the stage's reference.
     """
     twist = np.zeros(6)
     if axis.is_in_camera:

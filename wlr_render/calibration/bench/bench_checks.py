@@ -1,4 +1,4 @@
-"""Checks of an adjusted bench: which step of the procedure contradicts the others, and what to do."""
+"""Checks of an adjusted bench, which find the step of the procedure that contradicts the others, and its remedy."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ from wlr_render.numerics.arrays import FloatArray
 
 STEP = "photographs without the headset"
 
-REFUSED_MM, REFUSED_ARCMIN = 1.0, 10.0  # motions that make a calibration wrong: 7' and 10' of a target at 0.5 m
-_UNLIKELY = 1e-4  # probability below which chance explains nothing: ten checks warn in one of 1,000 sessions
-_SCALE, _REFUSED_SCALE = 0.002, 0.02  # 1 mm and 10 mm in the distance of a target at half a metre
-_SKEW_DEG = 1.0  # largest departure of two axes from a right angle: stages screwed together keep a tenth
-_UNIT = 0.1  # distance of a factor from 1000, in powers of ten, up to which it is a mistaken unit
-_NOISE_DIFFERS = 0.7  # standard deviation of the logarithm of the stated noise: by a factor of 2
-_NAMED = 2  # photographs that fit worst
+REFUSED_MM, REFUSED_ARCMIN = 1.0, 10.0  # least motions that make a calibration wrong: 7' and 10' of a target at 0.5 m
+_UNLIKELY = 1e-4  # probability below which chance is excluded; ten checks warn in one of 1,000 sessions
+_SCALE, _REFUSED_SCALE = 0.002, 0.02  # relative scale errors: 1 and 10 mm in the distance of a target at 0.5 m
+_SKEW_DEG = 1.0  # largest departure of two axes from a right angle; stages screwed together keep a tenth
+_UNIT = 0.1  # largest distance from a factor of 1000, in powers of ten, of a mistaken unit
+_NOISE_DIFFERS = 0.7  # sigma of the logarithm of the stated noise: a factor of 2
+_NAMED = 2  # number of worst-fitting photographs that are named
 _CAMERAS = {EYEBALL: "eyeball camera", "tracking": "tracking camera"}
 
 
@@ -35,11 +35,11 @@ class Check:
 
     Attributes:
         step: step of the procedure, or photograph, that the check concerns.
-        quantity: with its unit.
-        value: found; `sigma`: its standard deviation; `limit`: largest acceptable magnitude.
+        quantity: quantity with its unit.
+        value: estimate; `sigma`: its standard deviation; `limit`: largest acceptable magnitude.
         sentence: the problem and its remedy, or a statement that the value is right.
-        ok: whether it is within the limit or within its uncertainty.
-        contradictory: whether it is so far off that a calibration from it would be wrong.
+        ok: True if the value is within the limit or within its uncertainty.
+        contradictory: True if the value is so far off that a calibration with it would be wrong.
     """
 
     step: str
@@ -54,12 +54,12 @@ class Check:
 
 @dataclass(frozen=True)
 class Pull:
-    """Chi-squared of readings or prior knowledge of one kind against the solution.
+    """Chi-squared of readings or prior knowledge of one kind relative to the solution.
 
     Attributes:
-        kind: of reading or knowledge.
-        chi_square: sum of squares in units of sigma. freedom: its expectation.
-        probability: of a value this extreme by chance.
+        kind: kind of reading or knowledge.
+        chi_square: sum of squares in units of sigma. freedom: expectation of this sum.
+        probability: probability of a value this extreme by chance.
     """
 
     kind: str
@@ -74,11 +74,11 @@ class Pull:
 
 
 def significance(chi_square: float, freedom: int) -> float:
-    """Return standard deviations of one normal variable that are as improbable as this chi-squared."""
+    """Return the number of sigmas of a normal variable with the same probability as this chi-squared."""
     probability = float(scipy.special.chdtrc(freedom, chi_square))
     if probability > 1e-300:
         return float(max(-scipy.special.ndtri(0.5 * probability), 0.0))
-    half, x = 0.5 * freedom, 0.5 * chi_square  # the tail of the incomplete gamma function
+    half, x = 0.5 * freedom, 0.5 * chi_square  # tail of the incomplete gamma function
     return float(np.sqrt(2.0 * (x - (half - 1.0) * np.log(x) + scipy.special.gammaln(half))))
 
 
@@ -86,7 +86,7 @@ def refuse_contradictions(checks: Iterable[Check]) -> None:
     """Refuse a bench with a contradictory check.
 
     Raises:
-        BadInputError: naming the step.
+        BadInputError: a check is contradictory; the message names its step.
     """
     off = [check for check in checks if check.contradictory]
     if off:
@@ -120,10 +120,10 @@ def prior_pulls(adjustment: Adjustment) -> list[Pull]:
     pulls = []
     for kind, key in named.items():
         where = adjustment.layout.where[key]
-        if key[0] == "shape":  # the smooth fields find their own size
+        if key[0] == "shape":  # the size of the smooth fields is estimated
             where = slice(where.start, where.start + len(BOARD_SHAPE))
         prior = np.diag(adjustment.layout.size[where] ** 2)
-        # Covariance of the adjusted minus the prior value; zero in directions that the views do not constrain.
+        # Covariance of adjusted minus prior value; zero in directions that the views do not constrain.
         size, vectors = np.linalg.eigh(np.eye(len(prior)) - _scaled(adjustment.covariance[where, where], prior))
         learnt = size > 1e-3
         away = vectors.T @ (state.deviation([key])[: len(prior)] / np.sqrt(np.diag(prior)))
@@ -140,11 +140,11 @@ def _scaled(covariance: FloatArray, prior: FloatArray) -> FloatArray:
 
 
 def reading_pulls(adjustment: Adjustment) -> list[Pull]:
-    """Reduced chi-squared of the features by camera, against their stated sigmas, and of the stage's random errors."""
+    """Return the chi-squared of the features by camera, for stated sigmas, and of the stage's random errors."""
     normal, pulls = adjustment.normal, []
     for name, reduced in adjustment.chi_square.items():
         freedom = float(normal.values[name])
-        # Stated sigmas are uncertain by a factor, so the test applies to the logarithm of the noise ratio.
+        # Stated sigmas are uncertain by a factor, so that the test uses the logarithm of the noise ratio.
         chance = 2.0 * float(scipy.special.ndtr(-abs(0.5 * np.log(max(reduced, 1e-12))) / _NOISE_DIFFERS))
         pulls.append(Pull(f"board features, {_CAMERAS[name]}", reduced * freedom, freedom, chance))
     offsets = np.array(list(adjustment.state.of("offset").values())).reshape(-1, 6)
@@ -189,7 +189,7 @@ def _explained(fault: Fault) -> str:
 
 
 def _remedy(fault: Fault) -> str:
-    """Say what else looks like a fault, and what to do."""
+    """Describe other causes with the appearance of a fault, and the remedy."""
     if fault.kind == "photograph":
         return "the photograph was rejected: compare it with its entry, or take it again"
     if fault.kind == "exchange":
@@ -308,12 +308,12 @@ def _angles(adjustment: Adjustment) -> list[Check]:
 
 
 def _by_noise(adjustment: Adjustment) -> list[str]:
-    """Return the names of the cameras that saw a board, in descending order of noise over the stated sigma."""
+    """Return the names of cameras that saw a board, in descending order of noise relative to the stated sigma."""
     return sorted(adjustment.chi_square, key=lambda name: -adjustment.sizes.noise[name])
 
 
 def _worst_views(adjustment: Adjustment, camera: str) -> list[str]:
-    """Names of the two photographs that fit worst."""
+    """Return the names of the two worst-fitting photographs."""
     state = adjustment.state
     views = [view for view in state.observations.views if view.camera == camera]
 
@@ -325,7 +325,7 @@ def _worst_views(adjustment: Adjustment, camera: str) -> list[str]:
 
 
 def _noise_check(adjustment: Adjustment, name: str) -> Check:
-    """Check the features' noise against the detector's stated sigmas."""
+    """Compare the features' noise with the detector's stated sigmas."""
     noise = adjustment.sizes.noise[name]
     limit = float(np.exp(3.5 * _NOISE_DIFFERS))
     rms = np.sqrt(
@@ -353,7 +353,7 @@ def _noise_check(adjustment: Adjustment, name: str) -> Check:
 
 
 def _unsettled_check() -> Check:
-    """Say that the search for the bench ended without a minimum."""
+    """Return the check of a search for the bench that ended without a minimum."""
     sentence = (
         "no cameras, lenses and poses fit the photographs: one that shows another target pose, or was taken at another "
         "stage reading than session.toml states, does that; leave out half of them to find it"

@@ -1,7 +1,7 @@
 """The true shape of a board.
 
-Bow along both sides, twist, x and y printed to other scales and not at right angles, smooth random
-fields of heights and of printing errors, and every feature off its place.
+It has bow along both sides, twist, errors of the scales in x and y and of the right angle, smooth random fields of
+heights and of printing errors, and an error of every feature's position.
 """
 
 from collections.abc import Sequence
@@ -16,8 +16,8 @@ from wlr_render.numerics.smooth_field import SmoothField
 
 BOARD_SHAPE = ("bow x", "bow y", "twist", "scale x", "scale y", "shear")
 """First unknowns of a board's shape: heights in metres, and relative errors of scale and of the right angle."""
-_HEIGHTS_M, _PRINT_M, _MOST_WAVES = 0.2, 0.1, 8  # shortest half waves of the fields; most along a side
-_MOST_ROWS = 100_000  # more than any board has: one number then codes column and row
+_HEIGHTS_M, _PRINT_M, _MOST_WAVES = 0.2, 0.1, 8  # shortest half waves of the fields, and most half waves along a side
+_MOST_ROWS = 100_000  # more rows than any board has, so that one number can encode column and row
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +25,11 @@ class BoardShape:
     """The true shape of a board.
 
     Attributes:
-        half_m: (2,) half its width and height between the outermost features.
+        half_m: (2,) half the board's width and height between the outermost features.
         low: (k,) the `BOARD_SHAPE`, then amplitudes of the waves of `fields`, metres: heights, x and y.
-        feature: (f, 2) features whose places are estimated. place: (f, 3) their further errors, metres.
-        fields: over the board, of heights and of printing errors; None without.
-        point: (f, 3) places of the estimated features in the board's file; empty for a shape that was read from a file.
+        feature: (f, 2) features with estimated positions. place: (f, 3) their further errors, metres.
+        fields: fields of heights and of printing errors over the board; None without fields.
+        point: (f, 3) positions of the estimated features in the board's file; empty for a shape read from a file.
     """
 
     half_m: FloatArray
@@ -41,10 +41,10 @@ class BoardShape:
 
     @classmethod
     def of(cls, views: Sequence[BoardView], rough: bool) -> "BoardShape":
-        """Return the shape of a board as its file states it, with the features that these views show.
+        """Return the shape of a board as stated in its file, with the features that these views show.
 
         Args:
-            views: of the board.
+            views: views of the board.
             rough: True for a shape without `fields`.
         """
         feature, first = np.unique(np.concatenate([view.feature for view in views]), axis=0, return_index=True)
@@ -58,19 +58,19 @@ class BoardShape:
         return cls(half, np.zeros(terms), feature, np.zeros((len(feature), 3)), fields, point)
 
     def point_of(self, feature: IntArray, nominal: FloatArray) -> FloatArray:
-        """Return true places (n, 3) of features (n, 2) from those in the board's file (n, 3)."""
+        """Return the true positions (n, 3) of features (n, 2), from the nominal ones (n, 3) in the board's file."""
         rows = self.rows_of(feature)
         own = np.where(rows[:, None] >= 0, self.place[rows], 0.0) if len(self.place) else np.zeros_like(nominal)
         return np.asarray(nominal + self.by_low(nominal) @ self.low + own)
 
     def rows_of(self, feature: IntArray) -> IntArray:
-        """(n,) which of the estimated features these (n, 2) are; -1 for none."""
+        """Return the rows (n,) of features (n, 2) among the estimated features; -1 if not there."""
         order = _code(self.feature)
         at = np.minimum(np.searchsorted(order, _code(feature)), len(order) - 1)
         return np.where(order[at] == _code(feature), at, -1) if len(order) else np.full(len(feature), -1)
 
     def by_low(self, nominal: FloatArray) -> FloatArray:
-        """(n, 3, k) derivative of true places by `low`."""
+        """Return the derivative (n, 3, k) of true positions by `low`."""
         x, y = (nominal[:, :2] / self.half_m).T
         result = np.zeros((len(nominal), 3, len(self.low)))
         result[:, 2, 0], result[:, 2, 1], result[:, 2, 2] = 1.0 - x**2, 1.0 - y**2, x * y
@@ -86,10 +86,10 @@ class BoardShape:
 
     @cached_property
     def by_feature(self) -> FloatArray:
-        """(3 f, k) derivative of the places of the estimated features by `low`."""
+        """Derivative (3 f, k) of the positions of the estimated features by `low`."""
         return self.by_low(self.point).reshape(-1, len(self.low))
 
 
 def _code(feature: IntArray) -> IntArray:
-    """(n,) one number for each (column, row), in the order of both."""
+    """Return one number (n,) for each (column, row), ordered by column, then row."""
     return np.asarray(feature[:, 0] * _MOST_ROWS + feature[:, 1])

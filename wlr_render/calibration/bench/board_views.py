@@ -18,13 +18,13 @@ from wlr_render.lenses.lens import Lens
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 EYEBALL, TRACKING = "eyeball", "tracking"
-"""The two cameras: in the place of the eye, and on the headset."""
+"""Names of the two cameras: in place of the eye, and on the headset."""
 
 APART = LIMITS.index + 1
-"""Target poses and mountings that are set apart after a fault have their number plus a multiple of this."""
+"""Offset, a multiple of which is added to the number of a target pose or mounting that is separated after a fault."""
 
 FEWEST_FEATURES = 8
-"""A pose has 6 unknowns; four features give 8 readings, and twice that shows whether they are right."""
+"""Fewest features of a view. A pose has 6 unknowns; four features give 8 readings, and twice as many allow a check."""
 
 Sigma = tuple[float, float]
 """Standard deviations per axis of a rotation (rad) and a position (m)."""
@@ -32,19 +32,19 @@ Sigma = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """Features of a board in one photograph, seen directly.
+    """Features of a board that one photograph shows directly, not through the optics.
 
     Attributes:
-        name: of the photograph, as messages should have it.
+        name: name of the photograph in messages.
         camera: `EYEBALL` or `TRACKING`.
         feature: (n, 2) column and row on the board.
-        point: (n, 3) where the board's file has them, board frame, metres.
-        pixel: (n, 2) where they are seen, from the outer corner of the top-left pixel.
-        sigma_px: (n,) standard deviation of `pixel` per axis; the adjustment finds a common factor for each camera.
-        target: number of the target pose; None for a board held freely before the camera.
-        place: name of the camera place; None where the camera's place does not matter (free board) or is the headset's.
+        point: (n, 3) positions of the features in the board's file, board frame, metres.
+        pixel: (n, 2) pixels of the features, from the outer corner of the top-left pixel.
+        sigma_px: (n,) standard deviation of `pixel` per axis; the adjustment estimates a common factor for each camera.
+        target: number of the target pose; None for a board held freely in front of the camera.
+        place: name of the camera place; None if the place does not matter (free board) or is on the headset.
         board: name of the board; a target with a separate board has another name.
-        discs: of dots, from which `pixel` is found again once the lens is known; None for corners.
+        discs: discs of dots, from which `pixel` is recomputed once the lens is known; None for corners.
     """
 
     name: str
@@ -62,7 +62,7 @@ class BoardView:
         return len(self.point)
 
     def only(self, rows: BoolArray) -> "BoardView":
-        """Return some of the features, by mask (n,)."""
+        """Return the view with the features of a mask (n,)."""
         return replace(
             self,
             feature=self.feature[rows],
@@ -73,7 +73,7 @@ class BoardView:
         )
 
     def seen_by(self, lens: Lens) -> "BoardView":
-        """Return the view with the centres of its dots as a known lens sees them."""
+        """Return the view with dot centres recomputed for a known lens."""
         if self.discs is None:
             return self
         return replace(self, pixel=self.discs.centres(lens, self.point, self.pixel))
@@ -84,8 +84,8 @@ class CameraPlace:
     """A place of the eyeball camera.
 
     Attributes:
-        reading: (m,) of the stage's axes; None without a stage, when the pose is free.
-        orientation: number of the mounting in which the camera sits on the stage.
+        reading: (m,) readings of the stage's axes; None without a stage, when the pose is free.
+        orientation: number of the camera's mounting on the stage.
         time_s: seconds from any origin; None if unknown.
     """
 
@@ -96,11 +96,11 @@ class CameraPlace:
 
 @dataclass(frozen=True, eq=False)
 class KnownPose:
-    """A pose given beforehand.
+    """A pose that is known in advance.
 
     Attributes:
-        pose: (4, 4).
-        sigma: of its rotation and its position.
+        pose: (4, 4) the pose.
+        sigma: standard deviations of rotation and position.
     """
 
     pose: FloatArray
@@ -112,10 +112,10 @@ class CameraSetup:
     """A camera of the bench.
 
     Attributes:
-        size_px: width and height.
-        kind: of its lens model; "auto" to choose by held-out photographs.
-        calibrated: the lens if it is calibrated already.
-        calibrated_sigma: (values,) standard deviations of its values; zero where they count as exact.
+        size_px: width and height of the picture.
+        kind: kind of the lens model; "auto" for a choice by held-out photographs.
+        calibrated: the lens if it is already calibrated.
+        calibrated_sigma: (values,) standard deviations of the lens's values; zero for exact values.
     """
 
     size_px: tuple[int, int]
@@ -129,15 +129,15 @@ class BenchObservations:
     """All direct views of a bench, in the order in which they were taken, and prior knowledge of the bench.
 
     Attributes:
-        views: of all cameras.
-        cameras: by name.
-        places: by name: every place of a view, and any other place whose pose is required.
-        axes: of the stage; empty without one.
-        device_from_tracking: where the tracking camera sits; None without one.
-        targets: poses device_from_target that are given beforehand.
-        device_from_camera: of the eyeball camera in orientation 0 at the middle of the readings, where that defines the
+        views: views of all cameras.
+        cameras: cameras by name.
+        places: places by name: every place of a view, and any other place whose pose is required.
+        axes: axes of the stage; empty without a stage.
+        device_from_tracking: pose of the tracking camera; None without one.
+        targets: poses device_from_target that are known in advance.
+        device_from_camera: pose of the eyeball camera in orientation 0 at the middle of the readings, if it defines the
             device frame.
-        tolerances: of the boards, by name.
+        tolerances: tolerances of the boards, by name.
     """
 
     views: Sequence[BoardView]
@@ -150,12 +150,12 @@ class BenchObservations:
     tolerances: Mapping[str, BoardTolerances] = field(default_factory=dict)
 
     def without(self, names: Sequence[str]) -> "BenchObservations":
-        """All but the views with these names."""
+        """Return the observations without the views of these names."""
         return replace(self, views=[view for view in self.views if view.name not in names])
 
     @cached_property
     def duration(self) -> tuple[float, float] | None:
-        """Middle and half range of the times of the places, seconds; None where they are unknown, or all are one."""
+        """Middle and half range of the times of the places, seconds; None if times are unknown or all equal."""
         times = [place.time_s for place in self.places.values() if place.time_s is not None]
         if len(set(times)) < 2:
             return None
@@ -163,7 +163,7 @@ class BenchObservations:
 
     @property
     def travel(self) -> tuple[FloatArray, FloatArray]:
-        """Middle and half range (axes,) of the readings; 1 where an axis stands still."""
+        """Middle and half range (axes,) of the readings; the half range is 1 for an axis that does not move."""
         readings = np.array([place.reading for place in self.places.values() if place.reading is not None])
         if not len(readings):
             return np.zeros(len(self.axes)), np.ones(len(self.axes))

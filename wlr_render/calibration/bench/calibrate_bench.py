@@ -1,4 +1,4 @@
-"""Calibrate the bench of a photographic session: its direct views become one joint adjustment."""
+"""Calibrate the bench of a photographic session by one joint adjustment of its direct views."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -40,11 +40,11 @@ class CalibratedBench:
 
     Attributes:
         session: the photo session that was calibrated.
-        adjustment: the joint adjustment, with the covariance of everything.
+        adjustment: the joint adjustment, with the covariance of all unknowns.
         faults: single faults, whose views were rejected or assigned a separate target or mounting.
-        lenses: by camera, its rejected photographs and the kinds of lens that were tried.
+        lenses: rejected photographs and tried kinds of lens, by camera.
         checks: results of all checks; a result that is not `ok` names the faulty step.
-        unchecked: sentences on the checks that were not possible, with the photographs that would allow them.
+        unchecked: sentences about impossible checks, with the photographs that would allow them.
     """
 
     session: PhotoSession
@@ -61,7 +61,7 @@ class CalibratedBench:
 
     @property
     def rejected(self) -> tuple[Excluded, ...]:
-        """Every photograph that was left out."""
+        """All photographs that were left out."""
         found = {name: Excluded(name, reason, fault=False) for name, reason in _rejected_by_lenses(self.lenses).items()}
         for fault in self.faults:
             if fault.kind in SINGLE:
@@ -76,17 +76,17 @@ class CalibratedBench:
         return {k: self.adjustment.target_pose(k) for k in self.adjustment.state.targets if k < APART}
 
     def device_from_camera(self, entry: SessionEntry) -> FloatArray:
-        """(4, 4) of the eyeball camera at an entry of the session."""
+        """Return the eyeball camera's pose (4, 4) at an entry of the session."""
         return self.adjustment.state.device_from_camera(place_key(self.session, entry))
 
     def camera_pose(self, entry: SessionEntry) -> Pose:
-        """device_from_camera at an entry of the session, with its covariance."""
+        """Return device_from_camera at an entry of the session, with its covariance."""
         return self.adjustment.camera_pose(place_key(self.session, entry))
 
     def relative_sigma(self, one: SessionEntry, other: SessionEntry) -> FloatArray:
-        """(6,) sigmas of the pose of the camera at one entry against that at another, device frame.
+        """Return the sigmas (6,) of the camera's pose at one entry relative to another, device frame.
 
-        Rotation (rad), then position (m) of the pupil. Errors that both poses share are not in them.
+        They are for rotation (rad), then position (m) of the pupil, without errors that both poses share.
         """
         poses, covariance = self.adjustment.camera_poses([place_key(self.session, each) for each in (one, other)])
         about = [adjoint(transforms.rigid(np.eye(3), -pose[:3, 3])) for pose in poses]
@@ -94,17 +94,17 @@ class CalibratedBench:
         return np.sqrt(np.diag(apart @ covariance @ apart.T))
 
     def target_points(self, target_pose: int, observation: BoardObservation) -> FloatArray:
-        """(n, 3) true places of a board's features in the target's frame."""
+        """Return the true positions (n, 3) of a board's features in the target's frame."""
         nominal = self.session.board_of(target_pose).point_of(observation.index)
         shape = self.adjustment.state.shape.get(board_name(self.session, target_pose))
         return nominal if shape is None else shape.point_of(observation.index, nominal)
 
 
 def calibrate_bench(session: PhotoSession, reading: Reading) -> CalibratedBench:
-    """Adjust everything that the session's photographs see directly, and check it.
+    """Adjust all direct views of a session, and check the result.
 
     Raises:
-        BadInputError: photographs of a step are missing, or do not determine it; a RefusedViewsError where some were
+        BadInputError: photographs of a step are missing, or do not determine it; a RefusedViewsError if some were
             rejected before.
     """
     observations = bench_observations(session, reading)
@@ -119,7 +119,7 @@ def calibrate_bench(session: PhotoSession, reading: Reading) -> CalibratedBench:
 def _calibrated(
     session: PhotoSession, reading: Reading, observations: BenchObservations, lenses: dict[str, SoundViews]
 ) -> CalibratedBench:
-    """Return the bench, and the sound views of each camera in `lenses` as soon as they are known."""
+    """Return the bench; store the sound views of each camera in `lenses` as soon as they are known."""
     for name, setup in observations.cameras.items():
         try:
             lenses[name] = sound_views(
@@ -149,7 +149,7 @@ def _calibrated(
 def place_key(session: PhotoSession, entry: SessionEntry) -> str:
     """Return the name of an entry's visit; photographs of one visit share the camera's random error.
 
-    With a stage, every photograph is a separate visit, except at places where the target was also seen past the optics.
+    With a stage, every photograph is a separate visit, except at places with photographs past the optics.
     """
     if session.stage is None or any(each.place == entry.place for each in session.beside):
         return entry.place
@@ -214,13 +214,13 @@ def _setup(camera: SessionCamera) -> CameraSetup:
 
 
 def board_name(session: PhotoSession, target: int) -> str:
-    """Name of the board at a target pose, in the adjustment."""
+    """Return the adjustment's name of the board at a target pose."""
     given = session.targets.get(target)
     return "board" if given is None or given.board is None else f"board of target {target}"
 
 
 def _free_views(session: PhotoSession, reading: Reading, name: str, camera: SessionCamera) -> list[BoardView]:
-    """Return views of the board held anywhere before a camera."""
+    """Return views of the board held anywhere in front of a camera."""
     return [
         _board_view(session, session.name_of(path), reading.boards[path], name)
         for path in camera.intrinsics
@@ -241,7 +241,7 @@ def _view(
 
 
 def _rejected_by_lenses(lenses: Mapping[str, SoundViews]) -> dict[str, str]:
-    """Name -> reason, of the photographs that any camera's views were chosen without."""
+    """Return name -> reason for photographs rejected from any camera's views."""
     return {name: reason for each in lenses.values() for name, reason in each.rejected.items()}
 
 
@@ -250,7 +250,7 @@ def _rejected_check(name: str, reason: str) -> Check:
 
 
 def _sweep_checks(bench: CalibratedBench, reading: Reading) -> dict[int, Check | None]:
-    """Return what moved during the sweep at each target pose."""
+    """Return the check of motion during the sweep at each target pose; None where nothing was photographed twice."""
     session, adjustment = bench.session, bench.adjustment
     tracked = {k: [p.name for p in session.tracking if p.target_pose == k] for k in adjustment.state.targets}
     repeated = _repeated_views(bench, reading)
@@ -266,7 +266,7 @@ def _sweep_checks(bench: CalibratedBench, reading: Reading) -> dict[int, Check |
 
 
 def _repeated_views(bench: CalibratedBench, reading: Reading) -> list[RepeatedView]:
-    """First and last photographs through the optics of one place and target pose."""
+    """Return the first and last photographs through the optics for each place and target pose."""
     session = bench.session
     taken: dict[tuple[int, str, str], list[tuple[BoardPhotograph, BoardObservation]]] = {}
     for photo, seen in reading.views_of(session.see_through):
@@ -288,7 +288,7 @@ def _repeated_views(bench: CalibratedBench, reading: Reading) -> list[RepeatedVi
 
 
 def _unchecked(session: PhotoSession, adjustment: Adjustment, sweeps: Mapping[int, Check | None]) -> list[str]:
-    """Sentences."""
+    """Return sentences about impossible checks, with the photographs that would allow them."""
     said = [
         f"whether anything moved during the sweep at target pose {target} is not known: photograph the target with the "
         "tracking camera after the sweep as well, and repeat a photograph through the optics"

@@ -1,8 +1,8 @@
-"""Errors of a calibrated bench in the form that captures use: independent motion of each camera, and common errors.
+"""Errors of a calibrated bench in the form used by captures: independent motion of each camera, and common errors.
 
 The joint covariance of the unknowns has a block-lower-triangular root in the order of `SOURCES`: the variables of a
-source describe its errors given the sources before it. Only the few combinations of each source that affect the
-readings are kept; the rest of a camera's motion counts as independent.
+source describe its errors given the previous sources. Only the few combinations of each source that affect the readings
+are kept; the rest of a camera's motion is treated as independent.
 """
 
 from collections.abc import Sequence
@@ -26,13 +26,13 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 SOURCES = ("lens", "board", "tracking camera", TARGET_POSES, "stage", "drift of the bench")
 """Sources of common errors, in the order of the root."""
-_KEPT = 0.999  # share of a source's variance in the readings: sigmas are then 0.05 % too small
-_MOST = 24  # variables of all sources, largest first: fits take time and model files space for each
-_LEAST_ARCMIN = 1e-3  # rms in the readings of a variable worth keeping: a hundredth of what models are off by
-_JITTER = 1e-10  # share of each variance that is added: some poses follow others to nearly all digits
-_LENS_DEGREE, _LENS_GRID = 7, 21  # degree of a lens' change over the picture; places along a side that it is fitted to
-_IMAGES_M = (0.3, 5.0)  # distances of virtual images for which shifts of a camera are judged
-_ROWS = 400  # rows of display and see-through at which effects are judged
+_KEPT = 0.999  # share of a source's variance in the readings that is kept, which makes sigmas 0.05 % too small
+_MOST = 24  # most variables of all sources, largest first; each takes time in fits and space in model files
+_LEAST_ARCMIN = 1e-3  # least rms effect of a variable on the readings, a hundredth of the models' errors
+_JITTER = 1e-10  # share of each variance that is added, because some poses depend on others to nearly all digits
+_LENS_DEGREE, _LENS_GRID = 7, 21  # degree of a lens's change over the picture, and points of its fit along a side
+_IMAGES_M = (0.3, 5.0)  # distances of virtual images for estimates of effects of camera shifts
+_ROWS = 400  # number of rows of each side for estimates of effects
 _MOTION_LOG_SIGMA = 0.3  # sigma of the logarithm of the factor on the poses' sigmas, from some twenty photographs
 
 Entries = Sequence[SessionEntry]
@@ -43,12 +43,12 @@ def with_bench_errors(
     display: tuple[DisplayCaptures, Entries] | None,
     see_through: tuple[SeeThroughCaptures, Entries] | None,
 ) -> tuple[DisplayCaptures | None, SeeThroughCaptures | None]:
-    """Return captures with `motion` and `common` as the joint adjustment knows them.
+    """Return captures with `motion` and `common` from the joint adjustment.
 
     Args:
         bench: the calibrated bench.
-        display, see_through: captures of one eye, with the session's entries that the captures (or visits, where they
-            number these) are of, in the order of their numbers.
+        display, see_through: captures of one eye, with the session's entries of the captures (or of the visits, if
+            these are numbered), in the order of their numbers.
     """
     factor, sources = _shared_root(bench)
     sides = [side for side in (display, see_through) if side is not None]
@@ -62,7 +62,7 @@ def with_bench_errors(
 
 
 def _shared_root(bench: CalibratedBench) -> tuple[FloatArray, tuple[str, ...]]:
-    """Change (unknowns, variables) of all unknowns by the variables of the sources, and the source of each variable."""
+    """Return the change (unknowns, variables) of all unknowns by the sources' variables, and each variable's source."""
     adjustment = bench.adjustment
     of: dict[str, list[Key]] = {source: [] for source in SOURCES}
     for key, block in adjustment.state.blocks.items():
@@ -78,13 +78,13 @@ def _shared_root(bench: CalibratedBench) -> tuple[FloatArray, tuple[str, ...]]:
 def _errors(
     bench: CalibratedBench, factor: FloatArray, sources: tuple[str, ...], entries: Entries
 ) -> tuple[CommonErrors, FloatArray]:
-    """Errors of the captures of some entries by all variables, and the variance (entries, 6) of each camera's pose."""
+    """Return the errors of some entries' captures by all variables, and the variance (entries, 6) of camera poses."""
     adjustment = bench.adjustment
     poses, rows, random = adjustment.camera_rows([place_key(bench.session, each) for each in entries])
     motion = np.empty((len(poses), 6, factor.shape[1]))
     variance = np.empty((len(poses), 6))
     for k, (pose, row, own) in enumerate(zip(poses, rows, random, strict=True)):
-        # From motions about the device's origin to those about the pupil.
+        # Convert motions about the device's origin to motions about the pupil.
         about = adjoint(transforms.rigid(np.eye(3), -pose[:3, 3]))
         used = np.flatnonzero(np.any(row, axis=0))
         at = about @ row[:, used]
@@ -107,7 +107,7 @@ def _errors(
 
 
 def _lens_change(bench: CalibratedBench, factor: FloatArray) -> Polynomial | None:
-    """Change of the tangents at given pixels of the eyeball camera, see `CommonErrors.lens`."""
+    """Return the change of the tangents at fixed pixels of the eyeball camera, see `CommonErrors.lens`."""
     lens = bench.eyeball
     if not len(lens.values):
         return None
@@ -127,7 +127,7 @@ def _lens_change(bench: CalibratedBench, factor: FloatArray) -> Polynomial | Non
 
 
 def _target_change(bench: CalibratedBench, factor: FloatArray, number: int) -> FloatArray:
-    """Coefficients (terms, 3, variables) of the change of the points of a target, see `CommonErrors.target`."""
+    """Return coefficients (terms, 3, variables) of the change of a target's points, see `CommonErrors.target`."""
     state, where = bench.adjustment.state, bench.adjustment.layout.where
     pose, name = state.targets[number], board_name(bench.session, number)
     board = bench.session.board_of(number)
@@ -145,7 +145,7 @@ def _target_change(bench: CalibratedBench, factor: FloatArray, number: int) -> F
 def _effect(captures: DisplayCaptures | SeeThroughCaptures, common: CommonErrors) -> FloatArray:
     """Return changes (2 rows, variables) of the residuals of sampled rows, arcminutes over the root of their number.
 
-    The optics are neglected: the camera sees the real points, or images at the distances `_IMAGES_M`, through air.
+    Optics are neglected: the camera sees the real points, or images at the distances `_IMAGES_M`, through air.
     """
     rows = np.random.default_rng(0).permutation(len(captures))[:_ROWS]
     changes, tangents = common.changes(captures, rows), captures.tangents[rows]
@@ -160,7 +160,7 @@ def _effect(captures: DisplayCaptures | SeeThroughCaptures, common: CommonErrors
 
 
 def _chosen(effect: FloatArray, sources: tuple[str, ...]) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return combinations (variables, m) of the variables of one source each that matter, and their sources (m,)."""
+    """Return combinations (variables, m) that matter, each of one source's variables, and their sources (m,)."""
     found: list[tuple[float, str, FloatArray]] = []
     for name in SOURCES:
         own = np.flatnonzero([source == name for source in sources])
@@ -181,7 +181,7 @@ def _chosen(effect: FloatArray, sources: tuple[str, ...]) -> tuple[FloatArray, t
 def _with_known(
     captures: AnyCaptures, common: CommonErrors, variance: FloatArray, turn: FloatArray, sources: tuple[str, ...]
 ) -> AnyCaptures:
-    """Return captures with `motion` and `common`: `turn` gives the variables kept, the rest is each camera's own."""
+    """Return captures with `motion` and `common`; `turn` selects the common variables, and `motion` has the rest."""
     own = variance - np.sum((common.motion @ turn) ** 2, axis=2)
     motion = CaptureMotionPrior(common.capture, np.sqrt(np.maximum(own, 0.0)), _MOTION_LOG_SIGMA)
     if not sources:

@@ -1,8 +1,8 @@
-"""Single faults among the views of a bench: a photograph at another place, a target or camera that moved meanwhile.
+"""Single faults among the views of a bench, such as a photograph at another place, or a target or camera that moved.
 
-Each candidate is a small motion (6,) of the board in some views. The increase of the evidence by a candidate follows
-from the adjusted bench without a new adjustment. The best candidate is accepted if it is significant and large enough:
-single photographs are left out, later views get a separate target or mounting, and the bench is adjusted again.
+Each candidate is a small motion (6,) of the board in some views. The increase in evidence by a candidate follows from
+the adjusted bench without a new adjustment. The best candidate is accepted if it is significant and large enough: then
+single photographs are left out, or later views get a separate target or mounting, and the bench is adjusted again.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,33 +21,33 @@ from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray
 
 NEGLIGIBLE_M, NEGLIGIBLE_RAD = 3e-5, 0.3 * ARCMIN
-"""A shift that moves a target at half a metre by 0.2 arcminutes; smaller ones are not worth a word."""
-_PLAUSIBLE = {  # radians, metres: standard deviations of what goes wrong on a bench
-    "photograph": np.repeat([3e-3, 1e-2], 3),  # another reading than the one written down
+"""Largest negligible motions; such a shift moves a target at half a metre by 0.2 arcminutes."""
+_PLAUSIBLE = {  # standard deviations of faults of a bench, radians and metres
+    "photograph": np.repeat([3e-3, 1e-2], 3),  # for a reading other than the recorded one
     "motion": np.repeat([3e-3, 1e-3], 3),
 }
-_SIMILAR = 5.0  # natural logarithm of the odds, 150 to 1, below which views leave both explanations open
-_CONVINCING = 9.2  # natural logarithm of the odds, 10,000 to 1, beyond the number of candidates
-_MOST = 4  # faults that are named: a session of more is to be taken again
-_MOST_PAIRED = 40  # photographs of which all pairs are tried: 780 pairs
-_SHRINKS = [(-a, -b) for a in (0.0, 1.5, 3.0) for b in (0.0, 1.5, 3.0, 4.5, 6.0)]  # steps of stage errors, logarithms
+_SIMILAR = 5.0  # log odds, 150 to 1, below which both explanations remain possible
+_CONVINCING = 9.2  # least log odds of a fault, 10,000 to 1, plus the log number of candidates
+_MOST = 4  # most faults that are named; a session with more must be repeated
+_MOST_PAIRED = 40  # most photographs for a test of all pairs, 780
+_SHRINKS = [(-a, -b) for a in (0.0, 1.5, 3.0) for b in (0.0, 1.5, 3.0, 4.5, 6.0)]  # steps of log stage errors
 _OF_STAGE = ("turn", "smooth turn", "drift"), ("shift", "smooth shift", "screw")
 SINGLE = ("photograph", "exchange")
-"""Kinds of faults whose photographs are rejected; the others leave a target or a mounting of its own."""
+"""Kinds of faults whose photographs are rejected; other kinds lead to a separate target or mounting."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fault:
-    """Something that is not as the session says.
+    """A contradiction to the session's description.
 
     Attributes:
         kind: "photograph", "exchange", "target in bare", "camera in bare", "target before tracking" or "tracking".
-        names: of the photographs after which and from which on it shows; one for a single photograph.
+        names: names of the last photograph before the fault and the first one with it, or of a single photograph.
         target: number of the target pose; -1 for all.
-        views: names of all views that it touches.
-        motion: (6,) of the board in the camera's frame: rotation (rad), translation (m).
-        log_odds: natural logarithm.
-        alternatives: other faults that explain the views as well.
+        views: names of all affected views.
+        motion: (6,) motion of the board in the camera's frame: rotation (rad), translation (m).
+        log_odds: natural logarithm of the odds.
+        alternatives: other faults that explain the views equally well.
     """
 
     kind: str
@@ -60,7 +60,7 @@ class Fault:
 
     @property
     def plausible(self) -> FloatArray:
-        """(6,) standard deviations of its motion before it was measured."""
+        """Prior standard deviations (6,) of the motion."""
         return _PLAUSIBLE.get(self.kind, _PLAUSIBLE["motion"])
 
     @property
@@ -75,7 +75,8 @@ def adjust_without_faults(
 ) -> tuple[Adjustment, list[Fault]]:
     """Adjust a bench, isolating the views that single faults affect; return the adjustment and the faults.
 
-    If neither the first nor the last adjustment settles, return the first without faults: odds hold only at a minimum.
+    If neither the first nor the last adjustment settles, the result is the first one without faults, because odds are
+    valid only at a minimum.
     """
     found: list[Fault] = []
     adjustment = first = adjusted(observations)
@@ -90,7 +91,7 @@ def adjust_without_faults(
 
 
 def worst_fault(adjustment: Adjustment) -> Fault | None:
-    """Return the candidate of greatest evidence; None where chance explains all, or the motion is negligible."""
+    """Return the candidate of greatest evidence; None if chance explains all, or the motion is negligible."""
     state = adjustment.state
     candidates = _candidates(state)
     if not candidates:
@@ -111,7 +112,7 @@ def worst_fault(adjustment: Adjustment) -> Fault | None:
     without = -np.inf
     turns, shifts = (np.array([name in ends for name in prior.names], dtype=float) for ends in _OF_STAGE)
     for turn, shift in _SHRINKS:
-        # One fault makes the stage look worse than it is: its errors may be smaller once the fault is granted.
+        # A fault makes the stage look worse than it is, so that the stage's errors may be smaller given the fault.
         hyper = adjustment.hyper + turn * turns + shift * shifts
         width = layout.size * np.exp(prior.mixed_features @ hyper)
         gram, moment = width[:, None] * normal.gram * width, width * normal.moment
@@ -122,7 +123,7 @@ def worst_fault(adjustment: Adjustment) -> Fault | None:
         base_odds = 0.5 * float(moment[:own] @ follow[:, -1] - np.linalg.slogdet(inner)[1]) - prior.surprise(hyper)[0]
         without = max(without, base_odds)
         for k, each in enumerate(candidates):
-            if each.kind == "exchange":  # nothing is unknown: the displacement follows from the readings
+            if each.kind == "exchange":  # the displacement is known from the readings
                 rows = np.concatenate([rows_of[(view,)] for view in each.views])
                 push = np.concatenate([each.motion, -each.motion]) / size[own + rows]
                 drop = push @ rest_gram[np.ix_(rows, rows)] @ push
@@ -139,7 +140,10 @@ def worst_fault(adjustment: Adjustment) -> Fault | None:
 
 
 def _most_probable(candidates: Sequence[Fault], log_odds: FloatArray, motion: FloatArray) -> Fault | None:
-    """Return the fault of greatest odds (n,) with its motion (n, 6), and with others that are about as probable."""
+    """Return the fault of greatest odds, with its motion and with alternatives of similar probability.
+
+    Odds (n,) and motions (n, 6) are those of the candidates.
+    """
     least = _CONVINCING + np.log(len(candidates))
     granted = [
         fault
@@ -154,7 +158,7 @@ def _most_probable(candidates: Sequence[Fault], log_odds: FloatArray, motion: Fl
 
 
 def _exchanges(state: BenchState, staged: Sequence[BoardView]) -> list[Fault]:
-    """All pairs of photographs whose readings may have been exchanged."""
+    """Return all pairs of photographs whose readings may have been exchanged."""
     found = []
     for one, other in combinations(staged, 2):
         here, there = (state.observations.places[str(view.place)] for view in (one, other))
@@ -170,7 +174,7 @@ def _exchanges(state: BenchState, staged: Sequence[BoardView]) -> list[Fault]:
 
 
 def _candidates(state: BenchState) -> list[Fault]:
-    """Return what could have gone wrong, by the order of taking."""
+    """Return possible faults, in the order of taking."""
     observations = state.observations
     none = np.zeros(6)
     bare = [view for view in observations.views if view.camera == EYEBALL and view.target is not None]
