@@ -1,4 +1,4 @@
-"""Rough lenses and sound views of each camera: without outliers, the kind of lens chosen on held-out views."""
+"""Rough lenses and views without outliers of each camera, with the kind of lens chosen on held-out views."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -23,23 +23,23 @@ from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 _KINDS = ("brown", "fisheye", "rational")  # lens kinds by preference; thin prisms are tried if rational terms help
-_FEWER = {"rational": "brown", "thin-prism": "rational"}  # the simpler kind whose terms each kind extends
-_FEWEST_VIEWS = 3  # views of a plane that determine a camera (Zhang, IEEE PAMI 22 (2000), 1330)
-_CHOICE_FEATURES, _CHOICE_VIEWS = 100, 20  # enough to choose the kind of lens by
-_ENOUGH = 350  # features of a view: more cost time and tell little
-_OUTLIER_SIGMAS = 6.0  # robust sigmas from which a feature does not belong to the board: no noise is so large
-_POOR_FIT = 3.0  # scatter over the expected one above which a photograph is rejected: it has 9 times its due weight
+_FEWER = {"rational": "brown", "thin-prism": "rational"}  # simpler kind with a subset of each kind's terms
+_FEWEST_VIEWS = 3  # fewest views of a plane that determine a camera (Zhang, IEEE PAMI 22 (2000), 1330)
+_CHOICE_FEATURES, _CHOICE_VIEWS = 100, 20  # features of a view, and views, for the choice of the kind of lens
+_ENOUGH = 350  # number of features of a view; more take time and add little
+_OUTLIER_SIGMAS = 6.0  # outlier threshold of features in robust sigmas, beyond any noise
+_POOR_FIT = 3.0  # largest scatter of a photograph, relative to expectation; one above has 9 times too much weight
 _MISREAD, _LENS_BENDS_PX = 10.0, 2.0
-"""Distance from a plane's image over the median photograph's, and pixels, whose sum only misread features exceed: a
-lens bends all views, and some by pixels more."""
-_BETTER_SIGMAS = 2.0  # standard errors by which more terms must predict held-out views better: one in 40 by chance
+"""Distance from a plane's image relative to the median photograph's, plus pixels, which only misread features exceed: a
+lens distorts all views, and some by a few pixels more."""
+_BETTER_SIGMAS = 2.0  # standard errors by which more terms must improve held-out views; chance does it once in 40
 
 
 class RefusedViewsError(BadInputError):
-    """The remaining photographs are too few, or do not determine the unknowns.
+    """Error for remaining photographs that are too few, or do not determine the unknowns.
 
     Attributes:
-        rejected: name -> reason, of photographs that were left out before.
+        rejected: name -> reason for photographs that were rejected before.
     """
 
     def __init__(self, sentence: str, rejected: Mapping[str, str]) -> None:
@@ -52,9 +52,9 @@ class SoundViews:
     """Views of one camera without outliers, and its rough lens.
 
     Attributes:
-        views: in the order given. lens: found from them, or known.
-        rejected: name -> reason, of photographs that are left out.
-        tried: kind of lens -> rms distance of held-out features, pixels; empty where nothing was chosen.
+        views: remaining views in their order. lens: lens estimated from them, or known.
+        rejected: name -> reason for rejected photographs.
+        tried: kind of lens -> rms error of held-out features, pixels; empty without a choice.
     """
 
     views: Sequence[BoardView]
@@ -67,7 +67,7 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
     """Return a camera's views without outliers, and a rough lens.
 
     Raises:
-        RefusedViewsError: fewer than three photographs can be used, or they do not determine the lens.
+        RefusedViewsError: fewer than three photographs are usable, or they do not determine the lens.
     """
     rejected = {view.name: reason for view in views if (reason := _too_few(view))}
     rejected |= _misread([view for view in views if view.name not in rejected])
@@ -109,13 +109,13 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
 
 
 def _usual_scales(scale: FloatArray, sigma_m: FloatArray) -> FloatArray:
-    """Return the scatter (n,) expected of each photograph, from all of them.
+    """Return the expected scatter (n,) of each photograph, estimated from all photographs.
 
     Errors of a printed board are lengths: in pixels, they are larger on a near board than on a distant one.
 
     Args:
-        scale: (n,) scatter found, over the stated sigma.
-        sigma_m: (n,) that sigma as a length on the board.
+        scale: (n,) observed scatter relative to the stated sigma.
+        sigma_m: (n,) stated sigma as a length on the board.
     """
     if not scale.size:
         return scale
@@ -124,7 +124,7 @@ def _usual_scales(scale: FloatArray, sigma_m: FloatArray) -> FloatArray:
 
 
 def _thinned(views: Sequence[BoardView], features: int) -> list[BoardView]:
-    """Thin each view to about `features` features, the same in all views: several views then show each one's error."""
+    """Thin each view to about `features` features, the same in all views, so that several views show each error."""
     every = max(1, round(float(np.median([len(view) for view in views])) / features)) if views else 1
     return [view.only((view.feature @ [1, 2]) % every == 0) for view in views]
 
@@ -136,7 +136,7 @@ def _too_few(view: BoardView) -> str:
 
 
 def _misread(views: Sequence[BoardView]) -> dict[str, str]:
-    """Return reasons to reject views that miss a plane's image far more than the median; a lens distorts all views."""
+    """Return reasons to reject views much farther from a plane's image than the median; a lens distorts all views."""
     misses = np.array([_plane_residual_px(view) for view in views])
     limit = _LENS_BENDS_PX + _MISREAD * float(np.median(misses)) if views else 0.0
     return {
@@ -163,14 +163,14 @@ def free_views(
     """Adjust a lens of one kind, and the boards' shapes, to views of boards held anywhere.
 
     Args:
-        views: of one camera.
-        setup: of it.
-        kind: of the lens.
+        views: views of one camera.
+        setup: setup of the camera.
+        kind: kind of the lens.
         observations: source of the board tolerances.
-        first: lens to start from, of this kind or one with its first terms; None to find one.
+        first: starting lens, of this kind or a kind with its first terms; None to find one.
 
     Raises:
-        BadInputError: the views do not determine it.
+        BadInputError: the views do not determine the lens.
     """
     free = [replace(view, target=None, place=None) for view in views]
     camera = free[0].camera
@@ -178,7 +178,7 @@ def free_views(
     try:
         lens = start_lens(free, setup.size_px, kind) if first is None else first.as_kind(kind)
         start = start_state(alone, {camera: lens}, rough=True)
-        return adjust(start).state  # a rough lens needs no sigma
+        return adjust(start).state  # a rough lens needs no covariance
     except UndeterminedError as error:
         raise undetermined(views) from error
 
@@ -204,7 +204,7 @@ def _chosen_lens(
     for kind in (*_KINDS, "thin-prism"):
         if kind == "thin-prism" and _simplest(missed) != "rational":
             continue
-        # Fitting all terms at once may end in a local minimum: the fit starts from the lens with fewer terms.
+        # A fit of all terms at once may end in a local minimum, so that it starts from the lens with fewer terms.
         fewer = lenses.get(_FEWER.get(kind, ""), (None, None))
         starts = zip(folds, fewer, strict=True)
         try:
@@ -224,7 +224,7 @@ def _chosen_lens(
 def _lens_of_kind(
     views: Sequence[BoardView], setup: CameraSetup, kind: str, observations: BenchObservations
 ) -> LensCamera:
-    """Return a lens of a stated kind, fitted from the lens with fewer terms where the views determine one."""
+    """Return a lens of a stated kind, fitted from the lens with fewer terms if the views determine one."""
     first = None
     if kind in _FEWER:
         with contextlib.suppress(BadInputError, np.linalg.LinAlgError):
@@ -237,7 +237,8 @@ def _lens_of_kind(
 def _simplest(missed: Mapping[str, FloatArray]) -> str:
     """Return the first kind that is not worse than the best by more than chance.
 
-    By logarithms, of one photograph as of another: a few show a distortion best, and one may be poor.
+    The comparison uses logarithms with equal weight for all photographs, because a few show a distortion best, and one
+    may be poor.
     """
     best = min(missed, key=lambda kind: float(np.mean(np.log(missed[kind]))), default="")
     for kind, each in missed.items():
@@ -248,13 +249,13 @@ def _simplest(missed: Mapping[str, FloatArray]) -> str:
 
 
 def _missed_px(state: BenchState, camera: str, views: Sequence[BoardView]) -> FloatArray:
-    """(n,) mean square residual of each view about its best pose, per axis, outliers bounded; pixels squared."""
+    """Return the mean square residual (n,) of each view at its best pose, per axis, with outliers bounded, px^2."""
     lens, result = state.lens[camera], []
     for view in views:
         true = replace(view, point=state.shape[view.board].point_of(view.feature, view.point))
         try:
             pose, scale = board_pose(lens, true)
-        except BadInputError:  # the lens cannot look there
+        except BadInputError:  # the view is outside the lens model's domain
             result.append(float(np.sum(np.square(lens.size_px))))
             continue
         residual = view.pixel - lens.pixel_of_point(transforms.apply(pose, true.point))

@@ -1,7 +1,7 @@
 """Residuals of the views and their derivatives, and the normal equations of all unknowns.
 
-The errors of a board's features are eliminated, since no two of them meet (B. Triggs et al., "Bundle adjustment: a
-modern synthesis" (2000), section 6). Huber weights hold off outliers.
+The errors of a board's features are eliminated, because no reading depends on two of them (B. Triggs et al., "Bundle
+adjustment: a modern synthesis" (2000), section 6). Huber weights limit the effect of outliers.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,8 +16,8 @@ from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.evidence import Sums
 
-_HUBER = 3.0  # sigmas from which a residual loses weight: 0.3 % of normal noise, which costs nothing
-_ROUNDING = 1e-14  # share of a diagonal element that keeps confusable terms of a lens positive definite
+_HUBER = 3.0  # sigmas from which a residual loses weight; it affects only 0.3 % of normal noise
+_ROUNDING = 1e-14  # relative increase of the diagonal that keeps confusable lens terms positive definite
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,12 +25,12 @@ class ViewResiduals:
     """Residuals of one view, pixels, and the derivatives of the predicted pixels.
 
     Attributes:
-        residual: (n, 2) seen minus predicted; NaN where the lens cannot see the point.
-        moved: (n, 3) how far the board's shape moves the features from their places in the board's file.
-        by_place: (n, 2, 3) by the feature's place on the board.
-        columns: (n, 2, k) by further blocks of unknowns.
-        by_motion: (n, 2, 6) by a small motion of camera_from_board, camera frame.
-        motion: (6, k) that motion by further blocks.
+        residual: (n, 2) observed minus predicted pixels; NaN for points outside the lens model's domain.
+        moved: (n, 3) displacement of the features by the board's shape, from their positions in the board's file.
+        by_place: (n, 2, 3) derivative by the feature's position on the board.
+        columns: (n, 2, k) derivative by further blocks of unknowns.
+        by_motion: (n, 2, 6) derivative by a small motion of camera_from_board, camera frame.
+        motion: (6, k) derivative of this motion by further blocks.
     """
 
     residual: FloatArray
@@ -61,7 +61,7 @@ def residuals_of(state: BenchState, view: BoardView) -> ViewResiduals:
 
 
 def _add_blocks(sums: FloatArray, rows: IntArray, blocks: Sequence[slice], values: FloatArray) -> None:
-    """Add values (rows, columns of the blocks, 3) to `sums` (features, unknowns, 3): slices are faster than numbers."""
+    """Add values (rows, columns of the blocks, 3) to `sums` (features, unknowns, 3) by slices, which are fast."""
     start = 0
     for where in blocks:
         stop = start + where.stop - where.start
@@ -70,28 +70,28 @@ def _add_blocks(sums: FloatArray, rows: IntArray, blocks: Sequence[slice], value
 
 
 Extra = Mapping[Key, Mapping[str, FloatArray]]
-"""Further unknowns: by the name of a view, (6, k) motion of the board in its camera's frame."""
+"""Further unknowns: motion (6, k) of the board in the camera's frame, by the name of a view."""
 
 
 class Normal:
-    """Normal equations of all unknowns, with the features' errors integrated out at given sizes.
+    """Normal equations of all unknowns, with the features' errors integrated out for given sizes.
 
     Attributes:
-        gram: (unknowns, unknowns). moment: (unknowns,). square, count, log_weight: as of `evidence.Sums`.
-        loss: Huber's, sigmas squared.
+        gram: (unknowns, unknowns). moment: (unknowns,). square, count, log_weight: as in `evidence.Sums`.
+        loss: Huber's loss, sigmas squared.
         chi_square, values: sum of squares and number of values, by camera.
         informed: (unknowns,) diagonal of `gram` by camera, before the features are integrated out; 0 for shapes.
-        features: by board, covariance (f, 3, 3) where the other unknowns are known, mean (f, 3) where they are zero,
-            and their mixed sums (unknowns, 3 f).
+        features: by board, covariance (f, 3, 3) of the features' errors for known other unknowns, mean (f, 3) for zero
+            other unknowns, and mixed sums (unknowns, 3 f).
     """
 
     def __init__(self, state: BenchState, layout: Layout, sizes: Sizes, extra: Extra) -> None:
         """Sum over all views.
 
         Args:
-            state: to linearise at.
-            layout: of the unknowns.
-            sizes: noise by camera and error of features by board.
+            state: state for the linearisation.
+            layout: layout of the unknowns.
+            sizes: noise by camera, and error of features by board.
             extra: further blocks of `layout`.
         """
         count = len(layout.size)
@@ -151,7 +151,7 @@ class Normal:
         cross[where] += of_features.T.reshape(-1, *pull.shape)
 
     def _weighted(self, view: BoardView, residual: FloatArray, noise: float) -> FloatArray:
-        """Return Huber's weights (n,) of the features of a view, 0 of those not seen, and add their sums of squares."""
+        """Return Huber's weights (n,) of a view's features, 0 if not visible, and add their sums of squares."""
         seen, sigma = np.isfinite(residual).all(axis=1), view.sigma_px * noise
         length = np.where(seen, np.sqrt(0.5 * np.sum(residual**2, axis=1)), 0.0) / sigma
         weight = seen * np.sqrt(_HUBER / np.maximum(length, _HUBER)) / sigma
@@ -169,7 +169,7 @@ class Normal:
         own: Mapping[str, FloatArray],
         pull: Mapping[str, FloatArray],
     ) -> None:
-        """Integrate the features' errors out."""
+        """Integrate out the features' errors."""
         self.features: dict[str, tuple[FloatArray, FloatArray, FloatArray]] = {}
         for name, each in own.items():
             if not len(each):
@@ -179,13 +179,13 @@ class Normal:
             mean: FloatArray = np.einsum("nij,nj->ni", inverse, pull[name])
             by_feature = cross[name].reshape(len(cross[name]), -1, 3).transpose(1, 0, 2)
             half = (by_feature @ np.linalg.cholesky(inverse)).transpose(1, 0, 2).reshape(len(cross[name]), -1)
-            self.gram -= half @ half.T  # BLAS calculates one triangle of such a product
+            self.gram -= half @ half.T  # BLAS computes only one triangle of this product
             self.moment -= cross[name] @ mean.ravel()
             self.square -= float(np.sum(pull[name] * mean))
             self.features[name] = np.asarray(inverse), mean, cross[name]
 
     def sums(self, layout: Layout) -> Sums:
-        """Return the sums for the evidence, in units of the prior sizes without their hyperparameters."""
+        """Return the sums for the evidence, in units of the prior sizes without hyperparameters."""
         sums = Sums(0, 1, len(layout.size))
         sums.count, sums.square, sums.log_weight = self.count, self.square, self.log_weight
         sums.side_gram = layout.size[:, None] * self.gram * layout.size
@@ -194,13 +194,13 @@ class Normal:
         return sums
 
     def features_at(self, vector: FloatArray) -> dict[str, FloatArray]:
-        """(f, 3) errors of each board's features, where the other unknowns are `vector`."""
+        """Return the errors (f, 3) of each board's features for other unknowns `vector`."""
         return {
             name: mean - np.einsum("nij,nj->ni", inverse, (vector @ cross).reshape(-1, 3))
             for name, (inverse, mean, cross) in self.features.items()
         }
 
     def determined_features(self, name: str, size: float) -> float:
-        """Return the effective number of a board's feature coordinates that the views determine, given a prior size."""
+        """Return the effective number of feature coordinates of a board that the views determine, for a prior size."""
         inverse = self.features[name][0]
         return 3.0 * len(inverse) - float(np.trace(inverse, axis1=1, axis2=2).sum()) / size**2

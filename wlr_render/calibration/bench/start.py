@@ -1,4 +1,4 @@
-"""Starting values of a bench: lenses and board poses by OpenCV, then targets, camera and stage along the chain."""
+"""Starting values of a bench: lenses and board poses by OpenCV, then targets, camera and stage by a chain of views."""
 
 from collections.abc import Mapping, Sequence
 
@@ -41,21 +41,21 @@ from wlr_render.lenses.lens import Lens
 from wlr_render.lenses.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
-_SOME = 80  # features of a view that the start takes: it need not be exact, and OpenCV's time grows with them
-_SOME_VIEWS = 8  # views by which rough lenses are compared
-_CORNER_DEG = np.geomspace(15.0, 150.0, 12)  # angle from the axis to the picture's corner
-_LEAST_COSINE = 0.17  # cosine from the axis of features that a pose starts from: others weigh too much
-_STEPS, _CLOSE = 30, 1e-9  # steps of a pose, and the last one, radians and metres: far below any noise
-_UNCLEAR = 5.0  # ratio of the residuals of a plane's two poses below which both are refined: noise may swap them
-_MOVED = 1e-3  # travel of an axis in photographs over all its travel, below which it rests: its encoder's error
-"""An axis whose readings vary by less than this part of its travel has not moved."""
+_SOME = 80  # number of features of a view for starts, which need not be exact; OpenCV's time grows with it
+_SOME_VIEWS = 8  # number of views for the comparison of rough lenses
+_CORNER_DEG = np.geomspace(15.0, 150.0, 12)  # tried angles from the axis to the picture's corner
+_LEAST_COSINE = 0.17  # least cosine from the axis of features for a starting pose; others have too much weight
+_STEPS, _CLOSE = 30, 1e-9  # most steps of a pose, and last step, radians and metres, far below any noise
+_UNCLEAR = 5.0  # ratio of residuals of a plane's two poses below which both are refined, because noise may swap them
+_MOVED = 1e-3  # least travel of a moving axis in photographs, relative to half its travel; less is encoder error
+"""An axis whose readings vary by less than this share of its travel has not moved."""
 
 
 def start_lens(views: Sequence[BoardView], size_px: tuple[int, int], kind: str) -> LensCamera:
-    """Return a rough lens from views of boards: by OpenCV, of the kind "fisheye" also by trying focal lengths.
+    """Return a rough lens from views of boards: by OpenCV, and for the kind "fisheye" also by trial focal lengths.
 
     Raises:
-        BadInputError: the views do not determine it.
+        BadInputError: the views do not determine the lens.
     """
     some = [view.only(np.arange(len(view)) % max(1, len(view) // _SOME) == 0) for view in views]
     if kind == "fisheye":
@@ -69,7 +69,7 @@ def _brown_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensCam
     seen = [(view.pixel + OPENCV_PIXEL_SHIFT).astype(np.float32) for view in views]
     held = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
     threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)  # several add up the views in the order in which they finish, another one in each run
+    cv2.setNumThreads(1)  # several threads would sum the views in an order that changes from run to run
     try:
         _, matrix, found, _, _ = cv2.calibrateCamera(flat, seen, size_px, None, None, flags=held)
     except cv2.error as error:
@@ -81,7 +81,7 @@ def _brown_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensCam
 
 
 def _fisheye_lenses(views: Sequence[BoardView], size_px: tuple[int, int]) -> list[LensCamera]:
-    """Equidistant lenses of many fields of view, and OpenCV's lens as a polynomial of the angle."""
+    """Return equidistant lenses of many fields of view, and OpenCV's lens as a polynomial of the angle."""
     half = 0.5 * np.array(size_px, dtype=float)
     radius = float(np.linalg.norm(half))
     tried = [
@@ -102,7 +102,7 @@ def _fisheye_lenses(views: Sequence[BoardView], size_px: tuple[int, int]) -> lis
 
 
 def _rough_misfit_px(lens: Lens, views: Sequence[BoardView]) -> float:
-    """Mean over some views of the residuals' robust scale about the best poses."""
+    """Return the mean, over some views, of the residuals' robust scale at the best poses."""
     scales = []
     for view in views[:: -(-len(views) // _SOME_VIEWS)]:
         try:
@@ -113,10 +113,10 @@ def _rough_misfit_px(lens: Lens, views: Sequence[BoardView]) -> float:
 
 
 def board_pose(lens: Lens, view: BoardView) -> tuple[FloatArray, float]:
-    """Return camera_from_board (4, 4) of a flat board by a known lens, and the residuals' robust scale in sigmas."""
+    """Return camera_from_board (4, 4) of a flat board for a known lens, and the residuals' robust scale in sigmas."""
     direction = lens.dir_of_pixel(view.pixel)
     seen = np.isfinite(direction).all(axis=1)
-    # A camera turned towards the board sees all of it less than 90 degrees off axis, wherever the lens looks.
+    # A camera rotated towards the board has all of it less than 90 degrees off axis, for any direction of the lens.
     middle = direction[seen].sum(axis=0) if seen.any() else np.array([0.0, 0.0, 1.0])
     ahead = scipy.spatial.transform.Rotation.align_vectors([[0.0, 0.0, 1.0]], middle[None])[0].as_matrix()
     direction = direction @ ahead.T
@@ -144,7 +144,7 @@ def board_pose(lens: Lens, view: BoardView) -> tuple[FloatArray, float]:
 
 
 def _refined(lens: Lens, pose: FloatArray, view: BoardView, steps: int = _STEPS) -> tuple[FloatArray, float]:
-    """Return the pose after some steps, and the scale of the residuals before the last one."""
+    """Return the pose after some steps, and the scale of the residuals before the last step."""
     scale = np.inf
     for number in range(steps + 1):
         point = transforms.apply(pose, view.point)
@@ -173,8 +173,8 @@ def start_state(observations: BenchObservations, lens: Mapping[str, Lens], rough
 
     Args:
         observations: views, and prior knowledge of the bench.
-        lens: by camera.
-        rough: True for boards without smooth fields and views without stretches, to choose lenses by.
+        lens: lenses by camera.
+        rough: True for boards without smooth fields and views without stretches, for the choice of lenses.
 
     Raises:
         BadInputError: the views do not determine the bench; the message names the missing data.
@@ -192,7 +192,7 @@ def start_state(observations: BenchObservations, lens: Mapping[str, Lens], rough
             "print, and photograph it whole, sharp and bright."
         )
     for number, axis in enumerate(observations.axes):
-        if not twists[number].any() and chain.base:  # no view of a target tells how it moves
+        if not twists[number].any() and chain.base:  # no view of a target shows its motion
             twists[number] = stated_twist(axis, chain.base[min(chain.base)])
     if not rough:
         lens = {name: with_residual(each, observations.cameras[name]) for name, each in lens.items()}
@@ -250,9 +250,9 @@ def _blocks(
 def _start_twists(
     observations: BenchObservations, views: Sequence[BoardView], seen: Mapping[str, FloatArray]
 ) -> FloatArray:
-    """(m, 6) twists of the axes from relative motions of the camera between views of one target in its first mounting.
+    """Return twists (m, 6) of the axes, from relative camera motions between views of one target, first mounting.
 
-    Zero for those along which the views do not vary.
+    The twist is zero for an axis along which the views do not vary.
     """
     axes = observations.axes
     if not axes:
@@ -312,11 +312,11 @@ class _Chain:
         """Find the poses of all targets, mountings and free places.
 
         Raises:
-            BadInputError: some view meets nothing known.
+            BadInputError: a view has no link to a known pose.
         """
         waiting = list(views)
         middle, half = self._observations.travel
-        # Places near the middle first: they carry the stage's error the least.
+        # Places near the middle come first, because their stage error is smallest.
         waiting.sort(key=lambda view: self._distance(view, middle, half))
         while waiting:
             left = [view for view in waiting if not self._join(view, seen[view.name])]
@@ -351,7 +351,7 @@ class _Chain:
             if self._first not in self.base:
                 return False
             first = self.base[self._first]
-            stage = first @ stage @ transforms.inverse(first)  # motion of the carriage in the device frame
+            stage = first @ stage @ transforms.inverse(first)  # motion of the carriage, device frame
         if known is not None:
             device_from_camera = known
             if stage is not None:

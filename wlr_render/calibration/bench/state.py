@@ -1,12 +1,12 @@
 """Values of all unknowns of a bench, the predicted image of each view, and its derivatives.
 
-The eyeball camera at a place: device_from_camera = base @ stage(reading) @ motion(offset) @ mount. `base` is its pose
-at the middle of the readings in its first mounting, and `mount` the pose of another mounting relative to it. `stage`
-moves the camera along its axes, a product of exponentials in the order of the axes (F. C. Park, "Computational aspects
-of the product-of-exponentials formula", IEEE Trans. Automatic Control 39 (1994) 643). `offset` is the stage's error: a
-smooth function of each axis' reading (pitch, yaw, roll and straightness, Legendre polynomials), an error of each axis
-at each of its readings (the screw), and random in every visit. Where times are known, the image of a camera that warms
-up is shifted smoothly in time, nearly as by a turn of the camera.
+The pose of the eyeball camera at a place is device_from_camera = base @ stage(reading) @ motion(offset) @ mount. `base`
+is the pose at the middle of the readings in the first mounting, and `mount` is the pose of another mounting relative to
+the first one. `stage` moves the camera along the stage's axes, as a product of exponentials in the order of the axes
+(F. C. Park, "Computational aspects of the product-of-exponentials formula", IEEE Trans. Automatic Control 39 (1994)
+643). `offset` is the stage's error: a smooth function of each axis' reading (pitch, yaw, roll and straightness, as
+Legendre polynomials), an error of each axis at each of its readings (the screw), and a random error in every visit. If
+times are known, the image of a camera that warms up shifts smoothly in time, nearly as by a turn of the camera.
 """
 
 from collections.abc import Iterable, Mapping
@@ -28,9 +28,9 @@ from wlr_render.numerics.arrays import FloatArray
 
 DRIFT_DEGREE = 4
 SAME_READING = 1e-4
-"""Readings of a stage's axis nearer than this, metres, have one error of the screw."""
+"""Resolution at which readings of a stage's axis share one screw error, metres."""
 
-_TERMS = 12  # terms of the Jacobian's series: rounding error up to a radian
+_TERMS = 12  # terms of the Jacobian's series, exact to rounding up to a radian
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +38,9 @@ class StageModel:
     """Camera motion as a function of the stage readings, camera frame.
 
     Attributes:
-        middle, half_range: (m,) of the readings.
+        middle, half_range: (m,) middle and half range of the readings.
         twists: (m, 6) rotation and translation per unit of reading, by axis.
-        smooth: (axes times degrees, 6) of the smooth error, by `smooth_terms`.
+        smooth: (axes times degrees, 6) coefficients of the smooth error for `smooth_terms`.
     """
 
     middle: FloatArray
@@ -49,27 +49,27 @@ class StageModel:
     smooth: FloatArray
 
     def nominal(self, reading: FloatArray) -> FloatArray:
-        """(4, 4) motion to a reading (m,), without the stage's errors."""
+        """Return the motion (4, 4) to a reading (m,) without the stage's errors."""
         return stage_motion(self.twists, reading - self.middle)
 
     def smooth_terms(self, reading: FloatArray) -> FloatArray:
-        """(terms,) Legendre polynomials of unit rms by axis at a reading (m,), which is clamped to the range."""
+        """Return Legendre polynomials (terms,) of unit rms by axis at a reading (m,), clamped to the range."""
         at = np.clip((reading - self.middle) / self.half_range, -1.0, 1.0)
         degree = len(self.smooth) // max(len(at), 1)
         return unit_legendre(at, degree).ravel()
 
     def smooth_error(self, reading: FloatArray) -> FloatArray:
-        """(6,) smooth error at a reading (m,): rotation (rad), then translation (m)."""
+        """Return the smooth error (6,) at a reading (m,): rotation (rad), then translation (m)."""
         return self.smooth_terms(reading) @ self.smooth if len(self.smooth) else np.zeros(6)
 
     def motion(self, reading: FloatArray) -> FloatArray:
-        """(4, 4) expected motion to a reading (m,)."""
+        """Return the expected motion (4, 4) to a reading (m,)."""
         return np.asarray(self.nominal(reading) @ small_motion(self.smooth_error(reading)))
 
 
 @dataclass(frozen=True, eq=False)
 class BenchState:
-    """Values of all unknowns, by the name of their blocks.
+    """Values of all unknowns, by the names of the blocks.
 
     | block | of each | value |
     |---|---|---|
@@ -88,12 +88,12 @@ class BenchState:
     | free | place without reading | device_from_camera |
     | board pose | view of a board held freely | camera_from_board |
 
-    Axes and errors of the stage are in the camera's frame of the mounting of the lowest number.
+    Axes and errors of the stage are in the camera frame of the mounting with the lowest number.
 
     Attributes:
         observations: views and prior knowledge to which the values are fitted.
         boards: features and fields of each board, without errors.
-        blocks: by key.
+        blocks: blocks by key.
     """
 
     observations: BenchObservations
@@ -101,7 +101,7 @@ class BenchState:
     blocks: Mapping[Key, Block]
 
     def of(self, kind: str) -> Mapping[Any, Any]:
-        """Return the values of all blocks of one kind, by the second part of their keys."""
+        """Return the values of all blocks of one kind, by the second part of the keys."""
         return self._by_kind.get(kind, {})
 
     @cached_property
@@ -134,12 +134,12 @@ class BenchState:
 
     @property
     def device_from_tracking(self) -> FloatArray | None:
-        """(4, 4); None without a tracking camera."""
+        """Pose (4, 4) of the tracking camera; None without one."""
         return self.of("extrinsics").get(TRACKING)
 
     @cached_property
     def twists(self) -> FloatArray:
-        """(axes, 6) of the stage."""
+        """Twists (axes, 6) of the stage's axes."""
         return np.array(list(self.of("axis").values())).reshape(-1, 6)
 
     @cached_property
@@ -151,7 +151,7 @@ class BenchState:
 
     @property
     def first_mounting(self) -> int:
-        """The orientation in whose camera frame the stage's axes and errors are; BadInputError where none was seen."""
+        """Orientation with the camera frame of the stage's axes and errors; BadInputError if no view shows it."""
         if not self.base:
             raise BadInputError(
                 "No photograph of the target without the headset or past its optics could be used, so nothing says "
@@ -160,13 +160,13 @@ class BenchState:
         return min(self.base)
 
     def mount(self, orientation: int) -> FloatArray:
-        """(4, 4) camera of the first mounting from the camera of another one."""
+        """Return the transform (4, 4) from the camera frame of a mounting to that of the first mounting."""
         if orientation == self.first_mounting:
             return np.eye(4)
         return np.asarray(transforms.inverse(self.base[self.first_mounting]) @ self.base[orientation])
 
     def device_from_camera(self, place: str) -> FloatArray:
-        """(4, 4) of the eyeball camera at a place; the expected pose where no view measured it."""
+        """Return the eyeball camera's pose (4, 4) at a place; the expected pose if no view measured it."""
         if place in self.of("free"):
             return np.asarray(self.of("free")[place])
         each = self.observations.places[place]
@@ -176,7 +176,7 @@ class BenchState:
         return np.asarray(carried @ self.mount(each.orientation))
 
     def screws(self, reading: FloatArray) -> dict[Key, FloatArray]:
-        """(6, 1) motion in the frame of the first mounting's camera by each linear axis' error at a reading (m,)."""
+        """Return the motion (6, 1) by each linear axis' error at a reading (m,), camera frame of the first mounting."""
         motions: dict[Key, FloatArray] = {}
         for number, (axis, twist) in enumerate(zip(self.observations.axes, self.twists, strict=True)):
             if axis.kind == "linear" and twist.any():
@@ -185,14 +185,14 @@ class BenchState:
         return motions
 
     def drift_terms(self, place: str) -> FloatArray:
-        """Return Legendre polynomials (degrees,) of unit rms at the time of a place; 0 where it is unknown."""
+        """Return Legendre polynomials (degrees,) of unit rms at the time of a place; 0 for an unknown time."""
         time_s, duration = self.observations.places[place].time_s, self.observations.duration
         if duration is None or time_s is None:
             return np.zeros(DRIFT_DEGREE)
         return unit_legendre(np.array([(time_s - duration[0]) / duration[1]]), DRIFT_DEGREE).ravel()
 
     def _stage_error(self, place: str) -> FloatArray:
-        """(6,) error of the stage at a place, and drift of the camera."""
+        """Return the sum (6,) of the stage's error at a place and the camera's drift."""
         each = self.observations.places[place]
         reading = each.reading
         assert reading is not None
@@ -205,7 +205,7 @@ class BenchState:
         return np.asarray(error)
 
     def device_from_any(self, view: BoardView) -> FloatArray:
-        """(4, 4) of the camera of a view of a target."""
+        """Return the pose (4, 4) of the camera for a view of a target."""
         if view.camera == TRACKING:
             assert self.device_from_tracking is not None
             return self.device_from_tracking
@@ -213,7 +213,7 @@ class BenchState:
         return self.device_from_camera(view.place)
 
     def lens_at(self, target: int) -> Lens:
-        """Return the eyeball camera's lens as it is at a target pose."""
+        """Return the eyeball camera's lens with its focus at a target pose."""
         lens, change = self.lens[EYEBALL], float(self.of("focus").get(target, (0.0,))[0])
         if not change or not len(lens.values):
             return lens
@@ -224,13 +224,13 @@ class BenchState:
         return self.lens[view.camera] if view.camera != EYEBALL or view.target is None else self.lens_at(view.target)
 
     def camera_from_board(self, view: BoardView) -> FloatArray:
-        """(4, 4) of the board in a view."""
+        """Return the board's pose (4, 4) in a view."""
         if view.target is None:
             return np.asarray(self.of("board pose")[view.name])
         return np.asarray(transforms.inverse(self.device_from_any(view)) @ self.targets[view.target])
 
     def camera_motion(self, place: str) -> dict[Key, FloatArray]:
-        """(6, k) by block of unknowns: small motion in the camera's own frame of device_from_camera at a place."""
+        """Return the small motion (6, k) of device_from_camera at a place, camera frame, by block of unknowns."""
         if place in self.of("free"):
             return {("free", place): np.eye(6)}
         each = self.observations.places[place]
@@ -258,9 +258,9 @@ class BenchState:
         return blocks | {("base", each.orientation): np.eye(6)} | own
 
     def visit_motion(self, place: str) -> dict[Key, FloatArray]:
-        """(6, k) small motion in the camera's own frame by the stage's error in one visit and at each axis reading.
+        """Return the small motion (6, k), camera frame, by the stage's errors in one visit and at each axis reading.
 
-        By the key that these errors have where a view measured them; empty without a stage.
+        The keys are those of measured errors; the result is empty without a stage.
         """
         each = self.observations.places[place]
         if each.reading is None:
@@ -270,7 +270,7 @@ class BenchState:
         return {key: mounted @ columns for key, columns in errors.items()}
 
     def board_motion(self, view: BoardView, camera_from_board: FloatArray) -> dict[Key, FloatArray]:
-        """(6, k) by block of unknowns: small motion in the camera's frame of camera_from_board (4, 4) in a view."""
+        """Return the small motion (6, k) of camera_from_board (4, 4) in a view, camera frame, by block of unknowns."""
         if view.target is None:
             return {("board pose", view.name): np.eye(6)}
         motion: dict[Key, FloatArray] = {("target", view.target): adjoint(camera_from_board)}
@@ -280,13 +280,13 @@ class BenchState:
         return motion | {key: -columns for key, columns in self.camera_motion(view.place).items()}
 
     def deviation(self, keys: Iterable[Key]) -> FloatArray:
-        """(unknowns,) steps of some blocks from the middle of their priors, one after the other."""
+        """Return the steps (unknowns,) of some blocks from the middles of their priors, in the order of `keys`."""
         return np.concatenate(
             [self._off_stated(int(key[1])) if key[0] == "axis" else self.blocks[key].deviation for key in keys]
         )
 
     def _off_stated(self, number: int) -> FloatArray:
-        """(6,) difference of an axis' twist from the stated twist; zero in the parts that are not stated."""
+        """Return the difference (6,) of an axis' twist from the stated twist; zero in parts that are not stated."""
         axis, off = self.observations.axes[number], np.zeros(6)
         if axis.direction is None:
             return off
@@ -306,18 +306,18 @@ class BenchState:
 
 
 def unit_legendre(at: FloatArray, degree: int) -> FloatArray:
-    """Return Legendre polynomials (n, degree) of degrees 1 and higher, of unit rms from -1 to 1, at places (n,)."""
+    """Return Legendre polynomials (n, degree) from degree 1, of unit rms from -1 to 1, at arguments (n,)."""
     values = legendre.legvander(at, degree) * np.sqrt(2.0 * np.arange(degree + 1) + 1.0)
     return np.asarray(values[:, 1:])
 
 
 def screw_key(axis: int, reading: FloatArray) -> Key:
-    """Return the key of the error of an axis at a reading (m,) of the stage."""
+    """Return the key of an axis' screw error at a reading (m,) of the stage."""
     return "screw", f"{axis} at {round(float(reading[axis]) / SAME_READING)}"
 
 
 def stretch_terms(pixel: FloatArray, size_px: tuple[int, int]) -> FloatArray:
-    """Return the displacements (n, 2, 4), pixels, at pixels (n, 2), by the stretch of an image about its middle.
+    """Return the displacements (n, 2, 4), pixels, at pixels (n, 2), by a stretch of the image about its middle.
 
     The stretch is a 2 x 2 matrix, row by row: 1e-3 moves the edge of the picture by 1e-3 of half its larger side.
     """
@@ -325,7 +325,7 @@ def stretch_terms(pixel: FloatArray, size_px: tuple[int, int]) -> FloatArray:
 
 
 def stage_motion(twists: FloatArray, travel: FloatArray) -> FloatArray:
-    """(4, 4) product of exponentials of `twists` (m, 6) times `travel` (m,)."""
+    """Return the product of exponentials (4, 4) of `twists` (m, 6) times `travel` (m,)."""
     pose = np.eye(4)
     for twist, amount in zip(twists, travel, strict=True):
         pose = pose @ _exponential(twist * amount)
@@ -348,7 +348,7 @@ def _exponential(twist: FloatArray) -> FloatArray:
 
 
 def _right_jacobian(twist: FloatArray) -> FloatArray:
-    """Return J (6, 6): exponential(twist + d) = exponential(twist) @ small_motion(J @ d).
+    """Return J (6, 6) with exponential(twist + d) = exponential(twist) @ small_motion(J @ d).
 
     Source: T. D. Barfoot, "State Estimation for Robotics" (2017), equation 7.83.
     """

@@ -28,7 +28,7 @@ from wlr_render.lenses.splined_lens import SplinedLens
 _UNITS = {"length": "m", "angle": "rad", "pixel": "px"}
 FORMAT = "wlr-station"
 VERSION = 3
-_MOST_AMPLITUDE_PX = 100.0  # far above the residual of any lens model
+_MOST_AMPLITUDE_PX = 100.0  # largest amplitude of a residual, far above that of any lens model
 _MOST_WAVES = 20  # most half waves of a residual along a side
 
 
@@ -97,7 +97,7 @@ def _shape_record(shape: BoardShape) -> dict[str, Any]:
 
 
 def _counts(table: Table) -> tuple[int, int]:
-    """Return the half waves of a residual along both sides."""
+    """Return the numbers of half waves of a residual along both sides."""
     counts = table.vector("counts", 2)
     if np.any(counts != np.clip(counts.astype(int), 1, _MOST_WAVES)):
         raise table.fail(f"'counts' must be two whole numbers, 1 to {_MOST_WAVES}; write the file again.")

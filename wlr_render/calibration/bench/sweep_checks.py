@@ -1,8 +1,9 @@
-"""Detect motion during a sweep: of the target, the headset, or the camera or its stage.
+"""Detection of motion during a sweep, of the target, the headset, or the camera or its stage.
 
 The headset's tracking camera sees the target before and after the sweep; the eyeball camera sees it through the optics
-twice at one stage reading. A target that moves is seen to move by both, a headset that shifts by its own camera alone
-(the optics hardly change where the target is seen), and a camera or stage that moves by the eyeball camera alone.
+twice at one stage reading. Both cameras see motion of the target. Only the tracking camera sees a shift of the headset
+(the optics hardly change the apparent position of the target), and only the eyeball camera sees its own motion, or its
+stage's.
 """
 
 from collections.abc import Sequence
@@ -22,8 +23,8 @@ from wlr_render.lenses.lens import Lens, radians_per_pixel
 from wlr_render.numerics.arrays import FloatArray
 
 NEGLIGIBLE_ARCMIN = NEGLIGIBLE_RAD / ARCMIN
-_CERTAIN = 3.0  # sigmas by which a displacement must exceed what can be neglected: chance does in one of 700
-_FOLLOWS = 0.5  # threshold of observed over predicted displacement: 1 if a view follows the target's motion, 0 if not
+_CERTAIN = 3.0  # sigmas by which a significant displacement exceeds the negligible one; chance does it once in 700
+_FOLLOWS = 0.5  # least ratio of observed to predicted displacement of a view that follows the target's motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +33,11 @@ class RepeatedView:
 
     Attributes:
         target: number of the target pose.
-        device_from_camera: (4, 4) of the eyeball camera.
-        first, last: dots of the two photographs; dots in both are compared.
-        last_from_first: (3, 3) known rotation of the camera between the two photographs, by its warm-up.
-        motion: (6, 6) covariance of the camera's motion between the photographs beyond `last_from_first`, camera frame:
-            rotation (rad), translation (m).
+        device_from_camera: (4, 4) pose of the eyeball camera.
+        first, last: dots of the two photographs, of which the common ones are compared.
+        last_from_first: (3, 3) known rotation of the camera between the two photographs, due to warm-up.
+        motion: (6, 6) covariance of the camera's motion between the photographs in addition to `last_from_first`,
+            camera frame: rotation (rad), translation (m).
         device_from_target: (4, 4) pose of the board; its distance converts the motion to arcminutes.
     """
 
@@ -51,13 +52,13 @@ class RepeatedView:
 
 @dataclass(frozen=True, eq=False)
 class TargetChange:
-    """Motion of the target during a sweep, seen by the tracking camera.
+    """Motion of the target during a sweep, observed by the tracking camera.
 
     Attributes:
-        names: of the photographs before and after.
-        before, after: device_from_target (4, 4); the same where nothing moved.
-        shift_mm: of the target's middle. turn_arcmin: of its orientation.
-        sigmas: significance of both, as of one normal variable.
+        names: names of the photographs before and after.
+        before, after: device_from_target (4, 4), equal if nothing moved.
+        shift_mm: shift of the target's middle. turn_arcmin: rotation of the target.
+        sigmas: joint significance of both, in sigmas of a normal variable.
     """
 
     names: tuple[str, str]
@@ -69,7 +70,7 @@ class TargetChange:
 
     @classmethod
     def of(cls, adjustment: Adjustment, target: int, fault: Fault | None, names: Sequence[str]) -> "TargetChange":
-        """Return the change at a target pose by the fault that the adjustment found; no change without a fault."""
+        """Return the change at a target pose from a fault of the adjustment; no change without a fault."""
         before = adjustment.state.targets[target]
         moved = [k for k in adjustment.state.targets if k % APART == target and k >= APART]
         if fault is None or not moved:
@@ -115,15 +116,15 @@ class TargetChange:
 
 @dataclass(frozen=True, eq=False)
 class _ViewChange:
-    """Displacement of dots during a sweep, seen by the eyeball camera.
+    """Displacement of dots during a sweep, observed by the eyeball camera.
 
     Attributes:
-        names: of the two photographs.
-        arcmin: rms displacement by the affine motion that fits the dots best, less the part of noise.
-        sigma_arcmin: its standard deviation, from noise and the expected motion of the stage.
-        is_significant: whether it is certainly more than can be neglected.
-        foreseen_arcmin: rms that the target's motion by the tracking camera would have made.
-        follows: fraction of that motion in the measured displacement, 1 for all of it.
+        names: names of the two photographs.
+        arcmin: rms displacement of the best-fit affine motion of the dots, minus the contribution of noise.
+        sigma_arcmin: standard deviation of `arcmin`, from noise and the expected motion of the stage.
+        is_significant: True if the displacement is significantly more than negligible.
+        foreseen_arcmin: rms displacement predicted from the target's motion, as observed by the tracking camera.
+        follows: fraction of this motion in the measured displacement, 1 for all of it.
     """
 
     names: tuple[str, str]
@@ -140,17 +141,17 @@ def sweep_check(
     repeated: Sequence[RepeatedView],
     camera: Lens,
 ) -> Check | None:
-    """Name what moved during the sweep at one target pose; None where nothing was photographed twice.
+    """Return the check of motion during the sweep at one target pose; None if nothing was photographed twice.
 
     Args:
         target: number of the target pose.
-        tracked: how the tracking camera saw the target change.
+        tracked: change of the target observed by the tracking camera; None if not observed.
         repeated: all photographs through the optics that were repeated in this sweep.
         camera: the eyeball camera.
     """
     views = [_view_change(view, tracked, camera) for view in repeated]
     step = f"sweep at target pose {target}"
-    # The largest of the significant views, else of all: a large displacement may be noise.
+    # Take the largest of the significant displacements, or of all, because a large displacement may be noise.
     largest = max(views, key=lambda view: (view.is_significant, view.arcmin), default=None)
     if tracked is not None and tracked.is_significant:
         moved = f"{_culprit(views)} between {tracked.names[0]} and {tracked.names[1]}, by {tracked}"
@@ -181,7 +182,7 @@ def sweep_check(
 
 
 def _culprit(views: Sequence[_ViewChange]) -> str:
-    """Return what moved, given that the tracking camera saw the target move."""
+    """Return the name of the moved part, given that the tracking camera saw the target move."""
     follows = [view.follows for view in views if view.foreseen_arcmin > NEGLIGIBLE_ARCMIN]
     if not follows:
         return "the target moved or the headset shifted (no photograph through the optics, repeated, tells which)"
@@ -216,7 +217,7 @@ def _view_change(
 
 
 def _expected_arcmin(view: RepeatedView, point: FloatArray) -> float:
-    """Rms displacement of points (n, 3) on the board, arcminutes, by the motions expected of the camera."""
+    """Return the rms displacement of points (n, 3) on the board, arcminutes, by expected motions of the camera."""
     if len(point) == 0 or not view.motion.any():
         return 0.0
     seen = transforms.apply(transforms.inverse(view.device_from_camera) @ view.device_from_target, point)
@@ -229,11 +230,11 @@ def _expected_arcmin(view: RepeatedView, point: FloatArray) -> float:
 
 
 def _common(view: RepeatedView, camera: Lens) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Dots that both photographs show.
+    """Compare the dots that both photographs show.
 
     Returns:
-        Their points (n, 3), displacements (n, 2) in pixels, sigmas (n, 1) of these per axis, and arcminutes per pixel
-        (n, 1) there.
+        Points (n, 3) of the dots, displacements (n, 2) in pixels, sigmas (n, 1) of the displacements per axis, and
+        arcminutes per pixel (n, 1) at the dots.
     """
     number = {tuple(feature): i for i, feature in enumerate(view.last.feature.tolist())}
     pairs = [(i, number[key]) for i, each in enumerate(view.first.feature.tolist()) if (key := tuple(each)) in number]
@@ -247,15 +248,15 @@ def _common(view: RepeatedView, camera: Lens) -> tuple[FloatArray, FloatArray, F
 
 
 def _affine_part(point: FloatArray, displaced: FloatArray, sigma: FloatArray) -> tuple[float, float]:
-    """Rms of the affine motion that fits displacements (n, 2) of points (n, 3) best, without its noise; and its sigma.
+    """Return the rms of the best affine fit to displacements (n, 2) of points (n, 3), without noise, and its sigma.
 
-    A rigid motion of the target moves its dots by nearly such a map, in which the noise of many dots averages out.
+    A rigid motion of the target moves the dots by nearly an affine map, in which the noise of many dots averages out.
     """
     if len(point) == 0:
         return 0.0, 0.0
     design = np.column_stack([np.ones(len(point)), point[:, :2]])
-    axes = np.linalg.qr(design / sigma)[0]  # orthonormal: a coefficient has unit noise
+    axes = np.linalg.qr(design / sigma)[0]  # orthonormal, so that a coefficient has unit noise
     found = axes.T @ (displaced / sigma)
     square = np.mean(np.sum((axes @ found * sigma) ** 2, axis=1))
-    noise = np.mean(np.sum((axes * sigma) ** 2, axis=1)) / axes.shape[1]  # mean change by each coefficient
+    noise = np.mean(np.sum((axes * sigma) ** 2, axis=1)) / axes.shape[1]  # mean square change by each coefficient
     return float(np.sqrt(max(square - found.size * noise, 0.0))), float(np.sqrt(noise))
