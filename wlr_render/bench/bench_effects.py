@@ -7,7 +7,7 @@ metres and radians.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 
 import numpy as np
 
@@ -262,7 +262,6 @@ def displacement(
     return np.asarray(total * kind.per_displacement)
 
 
-@lru_cache(maxsize=16)
 def optics_with_effects(optics: EyeOptics, effects: tuple[BenchEffect, ...]) -> EyeOptics:
     """Return an eye's optics with the effects' heights added to its combiner."""
     for effect in effects:

@@ -65,11 +65,11 @@ def load_alignments(path: str | Path) -> Alignments:
     device, eye = table.text("device"), table.text("eye", choices=["left", "right"])
     width, height = table.vector("panel_px", 2, least=1)
     box = table.table("eye_box")
-    eye_box = EyeBox(np.array(box.row("centre_m", 3)), np.array(box.row("size_m", 3)))
+    eye_box = EyeBox(box.vector("centre_m", 3), box.vector("size_m", 3))
     box.finish()
     rows = table.tables("alignment", most=1000)
-    pixel = np.array([each.row("pixel", 2) for each in rows])
-    point = np.array([each.row("point_m", 3) for each in rows])
+    pixel = np.array([each.vector("pixel", 2) for each in rows])
+    point = np.array([each.vector("point_m", 3) for each in rows])
     timed = [each.has("time_s") for each in rows]
     time_s = np.array([each.number("time_s") for each in rows]) if all(timed) else None
     for each in rows:

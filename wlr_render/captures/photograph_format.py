@@ -1,7 +1,6 @@
 """Format of a camera's files: conversion of stored values to linear grey values, and saturation."""
 
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -199,7 +198,6 @@ def _rounded(light: StoredValues, largest: int) -> StoredValues:
     return np.minimum(light, light.dtype.type(min(largest, np.iinfo(light.dtype).max)))
 
 
-@cache
 def _linear_table(kind: PhotographFormat) -> NDArray[np.uint16]:
     """Return the light (65536,), uint16, of each stored value: 0 at the black level, `full_scale` at saturation."""
     value = np.arange(65536.0)

@@ -7,7 +7,6 @@ of the variance, its reach and smoothness.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -112,9 +111,8 @@ def surfaces(observations: Observations, residual: FloatArray) -> Iterator[Surfa
             yield Surface(rows, design, left, leverage, good)
 
 
-@lru_cache(maxsize=1)
 def _designs(observations: Observations) -> list[tuple[IntArray, FloatArray, FloatArray]]:
-    """Return the rows of each photograph, its polynomials and their pseudoinverse; cached for repeated use."""
+    """Return the rows of each photograph, its polynomials and their pseudoinverse."""
     every = ((rows, image_basis(observations, rows)) for rows in photographs(observations))
     return [(rows, design, np.asarray(np.linalg.pinv(design))) for rows, design in every if design is not None]
 

@@ -136,22 +136,10 @@ class Table:
         self, key: str, size: int, default: Sequence[float] | None = None, **bounds: float
     ) -> NDArray[np.float64]:
         """Return a list of `size` finite numbers, shape (size,); each in the range of `number`."""
-        value = self._list(key, size) if default is None or self.has(key) else list(default)
-        return np.array([self._number(item, key, **bounds) for item in value])
-
-    def row(self, key: str, size: int) -> list[float]:
-        """Return `size` finite numbers like `vector`, but faster and as a list; a model file has a thousand rows."""
-        value = self._list(key, size)
-        kinds = set(map(type, value))
-        if (kinds == {float} and math.hypot(*value) < _LARGEST) or (kinds == {int} and max(map(abs, value)) < _LARGEST):
-            return value
-        return [self._number(item, key) for item in value]
-
-    def _list(self, key: str, size: int) -> list[Any]:
-        value = self._get(key)
+        value = self._get(key) if default is None or self.has(key) else list(default)
         if not isinstance(value, list) or len(value) != size:
             raise self.fail(f"'{key}' must be a list of {size} numbers, not {shown(value)}.")
-        return value
+        return np.array([self._number(item, key, **bounds) for item in value])
 
     def numbers(self, key: str, **bounds: float) -> NDArray[np.float64]:
         """Return a list of any number of finite numbers, shape (n,); each in the range of `number`."""

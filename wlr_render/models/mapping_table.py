@@ -208,7 +208,7 @@ def _polynomial(parent: Table, name: str, variables: int, outputs: int) -> Polyn
     terms = table.tables("terms", most=_MOST_TERMS)
     if not terms:
         raise table.fail("'terms' is empty; write one term at least.")
-    orders = _orders(table, np.array([term.row("orders", variables) for term in terms], dtype=np.float64))
+    orders = _orders(table, np.array([term.vector("orders", variables) for term in terms]))
     if table.has("degree"):  # version 1
         degree = table.whole("degree", most=HIGHEST_ORDER)
         if len(terms) != term_count(variables, degree) or not np.array_equal(orders, total_degree(variables, degree)):
@@ -216,7 +216,7 @@ def _polynomial(parent: Table, name: str, variables: int, outputs: int) -> Polyn
                 f"'terms' must be all {term_count(variables, degree)} of total degree up to {degree}, ordered by it "
                 "and by 'orders'."
             )
-    values = np.array([term.row("values", outputs) for term in terms], dtype=np.float64)
+    values = np.array([term.vector("values", outputs) for term in terms])
     table.finish()
     return Polynomial(orders, box, values)
 

@@ -4,7 +4,7 @@ The errors of a board's features are eliminated, because no reading depends on t
 adjustment: a modern synthesis" (2000), section 6). Huber weights limit the effect of outliers.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from wlr_render.calibration.bench.bench_blocks import Key, Layout, Sizes
 from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.calibration.bench.state import BenchState, stretch_terms
 from wlr_render.geometry import transforms
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Sums
 
 _HUBER = 3.0  # sigmas from which a residual loses weight; it affects only 0.3 % of normal noise
@@ -58,15 +58,6 @@ def residuals_of(state: BenchState, view: BoardView) -> ViewResiduals:
     by_motion = np.concatenate([seen.by_point @ -transforms.cross_matrix(point), seen.by_point], axis=-1)
     motion = state.board_motion(view, camera_from_board)
     return ViewResiduals(view.pixel - predicted, place - view.point, turned, columns, by_motion, motion)
-
-
-def _add_blocks(sums: FloatArray, rows: IntArray, blocks: Sequence[slice], values: FloatArray) -> None:
-    """Add values (rows, columns of the blocks, 3) to `sums` (features, unknowns, 3) by slices, which are fast."""
-    start = 0
-    for where in blocks:
-        stop = start + where.stop - where.start
-        sums[rows, where] += values[:, start:stop]
-        start = stop
 
 
 Extra = Mapping[Key, Mapping[str, FloatArray]]
@@ -129,7 +120,7 @@ class Normal:
             self.moment[columns] += np.concatenate([moment[:count], carry.T @ moment[count:]])
             mixed = local.transpose(0, 2, 1) @ by_place
             mixed = np.concatenate([mixed[:, :count], carry.T @ mixed[:, count:]], axis=1)
-            _add_blocks(sums[view.board], rows, [layout.where[key] for key in (*part.columns, *motion)], mixed)
+            sums[view.board][np.ix_(rows, columns)] += mixed
             own[view.board][rows] += by_place.transpose(0, 2, 1) @ by_place
             pull[view.board][rows] += np.einsum("nik,ni->nk", by_place, value)
         self.count = sum(self.values.values())
