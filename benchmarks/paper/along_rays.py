@@ -1,4 +1,4 @@
-"""Trials of models along rays: farther back than the eye box, and against themselves at two points of one ray."""
+"""Trials of models along rays: behind the eye box, and against themselves at two points of one ray."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -32,11 +32,10 @@ class DepthMeasure(StrEnum):
     """Errors along the rays of random viewpoints.
 
     MOVED_BACK: direction of a pixel, or of a real point, from `BACK_M` farther back. The other measures compare a
-    model's results at two points of one of its rays, one depth of the eye box from each other, where they must be
-    equal. ALONG_RAY: forward query, the direction of a pixel, or of the world ray of a view direction.
-    OFFSET_ALONG_RAY: distance of that world ray from the first one's point at the depth of the real point.
-    PIXEL_ALONG_RAY and POINT_ALONG_RAY: backward query, the pixel of a view direction, and the view direction of a real
-    point.
+    model's results, which must be equal, at two points of one of its rays at a distance of the eye box's depth.
+    ALONG_RAY: forward query, the direction of a pixel, or of the world ray of a view direction. OFFSET_ALONG_RAY:
+    distance of that world ray from the first world ray's point at the depth of the real point. PIXEL_ALONG_RAY and
+    POINT_ALONG_RAY: backward query, the pixel of a view direction, and the view direction of a real point.
     """
 
     MOVED_BACK = "moved back (arcmin)"
@@ -51,7 +50,7 @@ class DepthTrial(DisplayTrial):
     """A trial of the display model that is also evaluated along its rays."""
 
     def errors(self, model: FittedDisplay, rng: np.random.Generator, seed: int) -> dict[str, Summary]:
-        """Errors of a fitted model, in the eye box and along rays."""
+        """Return the errors of a fitted model, in the eye box and along rays."""
         seen = display_observations(self.at, seed)
         back = moved_back(seen, BACK_M)
         shown = model.view_dir_of_pixel(back.pixel, back.viewpoint).value
@@ -71,7 +70,7 @@ class SeeThroughDepthTrial(SeeThroughTrial):
     RAYS: ClassVar[SeeThroughRays] = "forward"
 
     def errors(self, model: FittedSeeThrough, seed: int) -> dict[str, Summary]:
-        """Errors of a fitted model, in the eye box and along rays."""
+        """Return the errors of a fitted model, in the eye box and along rays."""
         seen = see_through_observations(self.at, seed)
         back = mapping_error.see_through_error(model, see_through_moved_back(seen, BACK_M))
         through = _through(self, seen.view_dir)
@@ -103,7 +102,7 @@ def _behind(viewpoint: FloatArray, view_dir: FloatArray, distance_m: float | Flo
 def pixel_inconsistency_px(
     candidate: DisplayMapping, observations: DisplayObservations, distance_m: FloatArray
 ) -> FloatArray:
-    """Distance (n,) in pixels between the pixels of a view direction at two viewpoints on one ray."""
+    """Return the distance (n,) in pixels between the pixels of a view direction at two viewpoints on one ray."""
     first = candidate.pixel_of_view_dir(observations.view_dir, observations.viewpoint).value
     behind = moved_back(observations, distance_m).viewpoint
     second = candidate.pixel_of_view_dir(observations.view_dir, behind).value
@@ -113,7 +112,7 @@ def pixel_inconsistency_px(
 def world_ray_inconsistency(
     candidate: SeeThroughMapping, observations: SeeThroughObservations, distance_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Angle and distance between the world rays of a view direction at two viewpoints on one view ray.
+    """Return angle and distance between the world rays of a view direction at two viewpoints on one view ray.
 
     Returns:
         (n,) arcminutes; and (n,) metres from the second ray to the point of the first at the depth of the real point.
@@ -129,7 +128,7 @@ def world_ray_inconsistency(
 def real_point_inconsistency_arcmin(
     candidate: SeeThroughMapping, observations: SeeThroughObservations, distance_m: FloatArray
 ) -> FloatArray:
-    """Angle (n,) between the view directions of a real point at two viewpoints on one of the model's view rays."""
+    """Return the angle (n,) between view directions of a real point at two viewpoints on one view ray of the model."""
     first = candidate.view_dir_of_real_point(observations.point, observations.viewpoint).value
     behind = _behind(observations.viewpoint, first, distance_m)
     return arcmin_between(first, candidate.view_dir_of_real_point(observations.point, behind).value)

@@ -20,11 +20,11 @@ SIDE, ABOVE = VIEWS
 WAVELENGTH_UM = 0.55
 RED, BLUE, GREEN, GREY = "#d62728", "#1f77b4", "#2ca02c", "#888888"
 ORANGE, PURPLE, BROWN = "#ff7f0e", "#9467bd", "#8c564b"
-"""Legible on light and dark pages."""
+"""Colours that are legible on light and dark pages."""
 _PANEL_EDGES = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
 _EVERY = 5  # step between the points of a cut; half a degree is enough for a page
-_HEADSET_M = 0.16  # surfaces are drawn so far from the nominal viewpoint
-_GAP = 0.08, 0.22  # between diagrams across and down, as parts of the whole
+_HEADSET_M = 0.16  # largest distance from the nominal viewpoint at which surfaces are drawn
+_GAP = 0.08, 0.22  # gap between diagrams across and down, as shares of the whole
 
 
 def optics_of(eye: EvaluatedEye) -> EyeOptics:
@@ -33,7 +33,7 @@ def optics_of(eye: EvaluatedEye) -> EyeOptics:
 
 
 def display_path(optics: EyeOptics, viewpoint: FloatArray, view_dir: FloatArray) -> FloatArray:
-    """Points (n, k, 3) of rays from the panel to viewpoints (n, 3) that see it in directions (n, 3)."""
+    """Return points (n, k, 3) of rays from the panel to viewpoints (n, 3) that see it in directions (n, 3)."""
     traced = trace(optics.display, viewpoint, view_dir, WAVELENGTH_UM)
     pixel = optics.panel.pixel_of_ray(traced.origin, traced.direction)
     panel = optics.panel.point_of_pixel(pixel)
@@ -44,7 +44,7 @@ def display_path(optics: EyeOptics, viewpoint: FloatArray, view_dir: FloatArray)
 def see_through_path(
     optics: EyeOptics, viewpoint: FloatArray, view_dir: FloatArray, target: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """Points (n, k, 3) of rays from viewpoints (n, 3) in directions (n, 3) to the plane of a point and a normal."""
+    """Return points (n, k, 3) of rays from viewpoints (n, 3) in directions (n, 3) to a plane (point, normal)."""
     traced = trace(optics.see_through, viewpoint, view_dir, WAVELENGTH_UM)
     point, normal = target
     along = ((point - traced.origin) @ normal) / (traced.direction @ normal)
@@ -81,7 +81,7 @@ class Diagram:
         """Add the panel and the surfaces within their apertures, cut through the nominal viewpoint."""
         for surface in optics.surfaces():
             cut = cut_surface(surface, optics.eye_box.centre, self.view)[::_EVERY]
-            # A surface without an aperture has no end: it is shown near the headset only.
+            # A surface without an aperture is unlimited: only its part near the headset is shown.
             far = np.linalg.norm(cut - optics.eye_box.centre, axis=-1) > _HEADSET_M
             cut = np.where(far[:, None], np.nan, cut)
             self.lines(surface.name.replace("_", " "), cut[None], PURPLE, width=3)
@@ -107,7 +107,7 @@ class Diagram:
 
 
 def drawing(title: str, diagrams: Sequence[Diagram], caption: str, *, columns: int = 2, height_px: int = 520) -> Plot:
-    """Diagrams side by side, equal scales along both axes of each, one legend for all."""
+    """Return diagrams side by side, each with equal scales along both axes, and one legend for all."""
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"hovermode": "closest", "legend": {"orientation": "h", "y": -0.12}}
     rows = -(-len(diagrams) // columns)

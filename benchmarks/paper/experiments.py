@@ -14,11 +14,11 @@ from wlr_render.report.plots import curves
 KINDS = ("planar", "volumetric")
 DENSE = {"planar": 121, "volumetric": 125}
 DEGREE, VIEWPOINTS = 5, 25
-"""Limit of the total degree, and camera positions, where an experiment varies something else."""
+"""Limit of the total degree, and number of camera positions, in experiments that vary other parameters."""
 SMALL_BOX_MM, LARGE_BOX_MM = (6.0, 4.0, 4.0), (14.0, 10.0, 12.0)
 COUNTS = (9, 16, 25, 49, 84)
-"""Camera positions."""
-_CLEARLY = 1.05  # a difference below 5 % is not clear: the rms at random viewpoints is uncertain by about that
+"""Numbers of camera positions."""
+_CLEARLY = 1.05  # smallest clear ratio: the rms at random viewpoints is uncertain by about 5 %
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class Side:
     """Display or see-through model: its trial and the names of its errors.
 
     Attributes:
-        trial: evaluated in the eye box and along rays.
+        trial: type of the trial, evaluated in the eye box and along rays.
         measure: the error that plots show, always an angle.
         other: the error of the opposite query.
-        words, other_words: their names, the unit in brackets.
+        words, other_words: names of these errors, with the unit in brackets.
         queries: name, measure and unit of each contradiction along a ray.
     """
 
@@ -67,7 +67,7 @@ SEE_THROUGH = Side(
 
 
 def dense(side: Side, degrees: Sequence[int], study: Study) -> Findings:
-    """Planar and volumetric sampling at equal total degree, with dense captures."""
+    """Compare planar and volumetric sampling at equal total degree, with dense captures."""
     rows: list[list[Cell]] = []
     for eye, degree in product(study.eyes, degrees):
         pair = [_dense(side, study, eye, kind, degree) for kind in KINDS]
@@ -90,7 +90,7 @@ def _where_not_better(rows: Sequence[Sequence[Cell]]) -> str:
 
 
 def depth(side: Side, degrees: Sequence[int], study: Study) -> Findings:
-    """Errors behind the eye box on the rays that the model was fitted to, and contradictions along a ray."""
+    """Measure errors behind the eye box on the rays of the fit, and contradictions along a ray."""
     rows: list[list[Cell]] = []
     for eye in study.eyes:
         pair = [_dense(side, study, eye, kind, DEGREE) for kind in KINDS]
@@ -122,7 +122,7 @@ def structure(study: Study) -> Findings:
 
 
 def see_through_positions(study: Study) -> Findings:
-    """Error of the see-through model over the number of camera positions; `accuracy` has the display's."""
+    """Plot the see-through model's error over the number of camera positions; for the display see `accuracy`."""
     rows: list[list[Cell]] = []
     lines: Lines = {}
     for eye, kind in product(study.eyes, KINDS):
@@ -162,7 +162,7 @@ def _error_plot(title: str, x_title: str, side: Side, lines: Lines) -> Plot:
 
 
 def eye_box(study: Study) -> Findings:
-    """Error over the size of the eye box."""
+    """Plot the error over the size of the eye box."""
     rows: list[list[Cell]] = []
     lines: Lines = {}
     for eye in study.eyes:
@@ -179,7 +179,7 @@ def eye_box(study: Study) -> Findings:
 
 
 def field(study: Study) -> Findings:
-    """Error over the nominal field and over the whole panel."""
+    """Measure the error over the nominal field and over the whole panel."""
     rows: list[list[Cell]] = []
     for eye in study.eyes:
         trials = product((replace(eye, whole_panel=whole) for whole in (False, True)), KINDS)

@@ -1,4 +1,4 @@
-"""The paper's figure 5: what planar and volumetric models answer along one ray, where the answer must not change."""
+"""The paper's figure 5: results of planar and volumetric models along one ray, where they must not change."""
 
 from functools import lru_cache
 
@@ -19,12 +19,12 @@ from wlr_render.simulation.simulate_captures import simulate_display, simulate_s
 DEGREE = 5
 KINDS = ("planar", "volumetric")
 ALONG_MM = np.linspace(-4.0, 20.0, 49)
-"""Places on the ray behind the base plane; negative ones are nearer to the optics."""
+"""Positions on the ray behind the base plane; negative positions are nearer to the optics."""
 
 
 @lru_cache
 def failures(eyes: tuple[EvaluatedEye, ...]) -> tuple[Plot, ...]:
-    """Errors of fitted models along one ray of a pixel (figure 5a), and along one view ray (5b)."""
+    """Plot errors of fitted models along one ray of a pixel (figure 5a), and along one view ray (5b)."""
     display: Lines = {}
     world: Lines = {}
     for eye in eyes:
@@ -48,7 +48,7 @@ def failures(eyes: tuple[EvaluatedEye, ...]) -> tuple[Plot, ...]:
 
 
 def fitted(eye: EvaluatedEye, kind: str) -> tuple[DisplayMapping, SeeThroughMapping]:
-    """Display and see-through model fitted to exact captures."""
+    """Fit display and see-through models to exact captures."""
     setup, rng = capture_setup(eye), np.random.default_rng(0)
     position = setup.camera_positions(kind, POSITIONS)
     display = fit_display(simulate_display(setup, position, rng), kind, DEGREE)
@@ -57,21 +57,21 @@ def fitted(eye: EvaluatedEye, kind: str) -> tuple[DisplayMapping, SeeThroughMapp
 
 
 def display_error_along_ray(eye: EvaluatedEye, model: DisplayMapping) -> FloatArray:
-    """Errors (n,) in arcminutes of the direction of one pixel, at places `ALONG_MM` of one of its rays."""
+    """Return errors (n,) in arcminutes of the direction of one pixel, at positions `ALONG_MM` on one of its rays."""
     at, view_dir = truth(eye), _view_dir(eye)
     pixel = at.display.pixel_of_view_dir(view_dir, at.eye_box.centre).value
     return arcmin_between(model.view_dir_of_pixel(pixel, _places(eye)).value, view_dir)
 
 
 def world_ray_error_along_ray(eye: EvaluatedEye, model: SeeThroughMapping) -> FloatArray:
-    """Errors (n,) in arcminutes of the direction of the world ray, at places `ALONG_MM` of one view ray."""
+    """Return errors (n,) in arcminutes of the direction of the world ray, at positions `ALONG_MM` on one view ray."""
     at, view_dir = truth(eye), _view_dir(eye)
     exact = at.see_through.real_ray_of_view_dir(view_dir, at.eye_box.centre).value[3:]
     return arcmin_between(model.real_ray_of_view_dir(view_dir, _places(eye)).value[:, 3:], exact)
 
 
 def _view_dir(eye: EvaluatedEye) -> FloatArray:
-    """(3,) halfway between the middle and a corner of the field."""
+    """Return the direction (3,) halfway between the middle and a corner of the field."""
     return np.asarray(field_directions(eye, 3, 3)[0])
 
 

@@ -29,19 +29,19 @@ from wlr_render.report.plots import arrow_map
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions, design_photo_bench
 
 POSITIONS = 25
-"""Camera positions in the figures of sampling."""
+"""Number of camera positions in the figures of sampling."""
 OBJECT_M = 0.25
 """Depth of the object in drawings: near, so that the headset stays visible."""
 TARGETS_M = (0.2, 0.4)
 """Depths of the two target planes in the drawing of the procedure."""
 MOVES_MM = {"3 mm right": (3.0, 0.0, 0.0), "3 mm up": (0.0, 3.0, 0.0), "3 mm back": (0.0, 0.0, 3.0)}
 _SWIM_GRID = (11, 9)
-_BEHIND_M = 0.008  # rays are drawn to so far before and behind the base plane
+_BEHIND_M = 0.008  # distance before and behind the base plane to which rays are drawn
 _FACING = np.array([0.0, 0.0, 1.0])  # normal of an upright target
 
 
 def field_directions(eye: EvaluatedEye, columns: int, rows: int) -> FloatArray:
-    """Return a grid of directions (n, 3) within the evaluated field, without its very edge."""
+    """Return a grid of directions (n, 3) within the evaluated field, without its edge."""
     field = capture_setup(eye).field
     tx, ty = (np.linspace(field.low[k], field.high[k], n + 2)[1:-1] for k, n in enumerate((columns, rows)))
     return dir_of_tangents(np.stack(np.meshgrid(tx, ty), axis=-1).reshape(-1, 2))
@@ -74,7 +74,7 @@ def one_pixel(eye: EvaluatedEye) -> Plot:
 
 @lru_cache
 def sampling(eye: EvaluatedEye) -> Plot:
-    """Camera positions of volumetric and planar sampling with rays of three pixels (figure 4)."""
+    """Draw camera positions of volumetric and planar sampling with rays of three pixels (figure 4)."""
     optics, setup = optics_of(eye), capture_setup(eye)
     mapping = setup.truth.display
     pixel = mapping.pixel_of_view_dir(field_directions(eye, 3, 1), setup.truth.eye_box.centre).value
@@ -95,21 +95,21 @@ def sampling(eye: EvaluatedEye) -> Plot:
 
 
 def crossings(eye: EvaluatedEye, half_mm: float = 4.0) -> FloatArray:
-    """Points (9, 3) of the base plane, which lies in the middle of the eye box."""
+    """Return points (9, 3) of the base plane, which lies in the middle of the eye box."""
     grid = np.linspace(-1e-3 * half_mm, 1e-3 * half_mm, 3)
     x, y = (each.ravel() for each in np.meshgrid(grid, grid))
     return truth(eye).eye_box.centre + np.stack([x, y, np.zeros_like(x)], axis=-1)
 
 
 def viewpoints_on_rays(eye: EvaluatedEye, crossing: FloatArray, view_dir: FloatArray) -> FloatArray:
-    """Five viewpoints (n, 5, 3) on each ray through `crossing` (n, 3), from the front of the eye box to its back."""
+    """Return five viewpoints (n, 5, 3) on each ray through `crossing` (n, 3), from front to back of the eye box."""
     depth = 0.5e-3 * eye.eye_box_mm[2] * np.linspace(-1.0, 1.0, 5)
     return np.asarray(crossing[:, None] - (depth[:, None] / -view_dir[:, None, 2:]) * view_dir[:, None])
 
 
 @lru_cache
 def display_bundle(eye: EvaluatedEye) -> Plot:
-    """Rays of one pixel, viewpoints on them, and their crossings of the base plane (figure 6a)."""
+    """Draw rays of one pixel, viewpoints on them, and their crossings of the base plane (figure 6a)."""
     mapping, at = truth(eye).display, crossings(eye)
     pixel = mapping.pixel_of_view_dir(field_directions(eye, 3, 3)[4], truth(eye).eye_box.centre).value
     view_dir = mapping.view_dir_of_pixel(pixel, at).value
@@ -121,7 +121,7 @@ def display_bundle(eye: EvaluatedEye) -> Plot:
 
 @lru_cache
 def see_through_bundle(eye: EvaluatedEye) -> Plot:
-    """View rays of one real point, viewpoints on them, and their crossings of the base plane (figure 6b)."""
+    """Draw view rays of one real point, viewpoints on them, and their crossings of the base plane (figure 6b)."""
     optics, mapping, at = optics_of(eye), truth(eye).see_through, crossings(eye)
     centre = truth(eye).eye_box.centre[None]
     target = centre[0] - [0.0, 0.0, OBJECT_M], _FACING
@@ -254,7 +254,7 @@ def pupil_swim(eyes: tuple[EvaluatedEye, ...]) -> tuple[Block, ...]:
 
 
 def _change(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Change (n, 2) of directions (n, 3) to the right and up, arcminutes."""
+    """Return the change (n, 2) of directions (n, 3) to the right and up, arcminutes."""
     right = normalised(np.cross(first, [0.0, 1.0, 0.0]))
     up = np.cross(right, first)
     return np.stack([np.sum((second - first) * each, axis=-1) for each in (right, up)], axis=-1) / ARCMIN

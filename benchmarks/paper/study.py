@@ -31,7 +31,7 @@ from wlr_render.work.progress import SILENT
 
 
 def figures(study: Study) -> Findings:
-    """Draw the paper's figures in its order: some of the first eye, pupil swim and failures of all eyes."""
+    """Draw the paper's figures in its order: some for the first eye, pupil swim and failures for all eyes."""
     eye, eyes = study.eyes[0], tuple(study.eyes)
     swim, display_swim, see_through_swim = pupil_swim(eyes)
     bundles = display_bundle(eye), see_through_bundle(eye)
@@ -53,7 +53,7 @@ class PaperOptions(StudyOptions):
 
 
 def run(options: PaperOptions = PaperOptions(), *, progress: ProgressArgument = SILENT) -> Report:
-    """Run the experiments; writes paper.html, .md and .json.
+    """Run the experiments; write paper.html, .md and .json.
 
     Raises:
         BadInputError: see `run_study`.

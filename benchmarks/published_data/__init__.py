@@ -1,1 +1,1 @@
-"""Readers of published measurements for tests and benchmarks; docs/measured-data.md says where to get each set."""
+"""Readers of published measurements for tests and benchmarks; docs/measured-data.md lists the sources."""

@@ -1,4 +1,4 @@
-"""A lens and a board's shape by the joint adjustment of hand-held photographs, and of halves of them."""
+"""A lens and a board's shape by joint adjustment of hand-held photographs, and of random halves of the photographs."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,12 +15,12 @@ from wlr_render.captures.boards.board import USUAL_TOLERANCES, BoardObservation
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell
 
-_FEATURES = 150  # features per photograph in the fit; more cost time and add little
+_FEATURES = 150  # features per photograph in the fit; more features cost time and add little
 _SPLITS = 6
 
 
 def adjusted_row(of: PhotographSet, seen: Sequence[BoardObservation], size_px: tuple[int, int]) -> dict[str, Cell]:
-    """Values with stated sigmas; and the difference between fits to random halves over its sigma, rms over splits."""
+    """Return values with sigmas, and the difference between fits to random halves over its sigma, rms over splits."""
     every = max(1, round(float(np.median([len(each) for each in seen])) / _FEATURES))
     views = []
     for number, each in enumerate(seen):
@@ -60,5 +60,5 @@ def _fit(known: BenchObservations, views: Sequence[BoardView]) -> Adjustment:
 
 
 def _values(fit: Adjustment) -> tuple[FloatArray, FloatArray]:
-    """fx, fy, cx, cy and their sigmas."""
+    """Return fx, fy, cx, cy and their sigmas."""
     return fit.state.lens[EYEBALL].values[:4], np.sqrt(np.diag(fit.covariance_of([("lens", EYEBALL)])))[:4]

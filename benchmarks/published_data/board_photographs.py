@@ -19,9 +19,9 @@ from wlr_render.report.blocks import Cell, Report, ReportTable
 
 _FLAGS = {"brown": 0, "rational": cv2.CALIB_RATIONAL_MODEL}
 _SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-# OpenCV's 30 steps do not reach the minimum of the rational model.
+# OpenCV's default of 30 steps does not reach the minimum of the rational model.
 _CONVERGED = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 500, 1e-12)
-_LEAST_CORNERS = 6  # fewest corners of a photograph in a calibration
+_LEAST_CORNERS = 6  # fewest corners per photograph in a calibration
 
 Corners = tuple[IntArray, FloatArray]
 """Index (n, 2) and pixel (n, 2) in one photograph."""
@@ -112,7 +112,7 @@ def _opencv_corners(of: PhotographSet, image: Photograph) -> Corners | None:
 
 
 def _calibrated(of: PhotographSet, seen: list[Corners], size: tuple[int, int]) -> tuple[float, float]:
-    """Rms per corner over both axes and fx, pixels."""
+    """Return the rms per corner over both axes, and fx, in pixels."""
     used = [each for each in seen if len(each[0]) >= _LEAST_CORNERS]
     points = [of.board.point_of(index).astype(np.float32) for index, _ in used]
     pixels = [(pixel + OPENCV_PIXEL_SHIFT).astype(np.float32) for _, pixel in used]

@@ -1,4 +1,4 @@
-"""Published sets of photographs of boards: folders, boards, and what their authors found."""
+"""Published sets of photographs of boards: folders, boards, and the authors' results."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +15,9 @@ class PhotographSet:
     Attributes:
         name: folder of the set.
         part: beginning of the photographs' names, or the subfolder, of this camera; empty for all.
-        board: as its authors state it, unless the note says otherwise.
+        board: board as stated by the authors, unless noted otherwise.
         lens: "brown" (five terms), "rational", or "" where neither can describe the field.
-        published_fx: focal length in pixels by the authors; None if they state none.
+        published_fx: the authors' focal length in pixels; None if not stated.
     """
 
     name: str
@@ -28,11 +28,11 @@ class PhotographSet:
 
     @property
     def title(self) -> str:
-        """Folder and part."""
+        """Name of folder and part."""
         return f"{self.name} {self.part}".strip()
 
     def photographs(self, root: Path) -> list[Path]:
-        """Return the photographs of this camera below the folder of all sets."""
+        """Return the photographs of this camera, given the folder of all sets."""
         folder = root / self.name
         if self.part and (folder / self.part).is_dir():
             return photographs_in(folder / self.part)
