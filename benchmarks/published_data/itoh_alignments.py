@@ -1,8 +1,8 @@
 """SPAAM sittings of one wearer with tracked eye positions (YutaItoh/HMD-Calibration; Itoh and Klinker, 3DUI 2014).
 
-A sitting is some twenty alignments of a crosshair with a real marker, and the places of the eye that a tracker camera
-on the headset saw meanwhile. All is in the frame of the headset's world camera: OpenGL axes (x right, y up, looking
-along -z), metres.
+A sitting is some twenty alignments of a crosshair with a real marker, and the eye positions that a tracker camera on
+the headset saw meanwhile. All is in the frame of the headset's world camera: OpenGL axes (x right, y up, looking along
+-z), metres.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 _BASE = "Base"
 _POSE_TOKENS, _QUATERNION, _TRANSLATION = 19, slice(10, 14), slice(16, 19)
-_UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])  # the authors' program turns the stored screen like this
+_UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])  # the authors' program rotates the stored screen like this
 _STEPS = 20
 
 
@@ -28,11 +28,11 @@ class Sitting:
     """Alignments of one sitting.
 
     Attributes:
-        name: of its folder.
-        pixel: (n, 2) of the crosshair, rows downwards or upwards as in the set.
-        point: (n, 3) of the marker.
-        eye: (3,) tracked.
-        eye_spread: mean distance of the tracked places from it, in the sum of the axes.
+        name: name of the folder.
+        pixel: (n, 2) pixels of the crosshair, rows downwards or upwards as in the set.
+        point: (n, 3) positions of the marker.
+        eye: (3,) tracked position of the eye.
+        eye_spread: mean distance of the tracked positions from it, summed over the axes.
     """
 
     name: str
@@ -47,9 +47,9 @@ class Screen:
     """The virtual image as the authors calibrated it with a camera.
 
     Attributes:
-        panel: its pixels.
-        px_per_m: on the image.
-        rotation: (3, 3) and translation (3,): from the world camera's frame to the screen's, in which the image is the
+        panel: pixels of the screen.
+        px_per_m: pixels per metre on the image.
+        rotation: (3, 3) and translation (3,) from the world camera's frame to the screen's, in which the image is the
             plane z = 0.
     """
 
@@ -91,15 +91,15 @@ def _sitting(folder: Path, rotation: FloatArray, translation: FloatArray) -> Sit
     if len(candidates) < 2:
         raise BadInputError(f"{folder}: has no pair of eye positions; leave this sitting out.")
     place, spread = _tracked(candidates[: len(candidates) // 2 * 2].reshape(-1, 2, 3))
-    in_tracker = place * [1.0, 1.0, -1.0]  # the tracker states distances along its view, whose axis is -z
+    in_tracker = place * [1.0, 1.0, -1.0]  # the tracker states distances along its viewing direction, -z
     return Sitting(folder.name, pixel, point, (in_tracker - translation) @ rotation, spread)
 
 
 def _tracked(pairs: FloatArray) -> tuple[FloatArray, float]:
-    """Return the position (3,) of the eye, and the spread about it.
+    """Return the position (3,) of the eye, and the spread about this position.
 
-    The outline of an iris has two possible positions (k, 2, 3). The right ones of all images lie together: with every
-    position as a start, choose the median that is closest to the nearer position of each pair.
+    The outline of an iris has two possible positions (k, 2, 3). The correct positions of all images form a cluster:
+    with every position as a start, choose the median that is closest to the nearer position of each pair.
     """
     best = (np.inf, pairs[0, 0])
     for start in pairs.reshape(-1, 3):

@@ -1,8 +1,8 @@
 """See-through captures of the HMD-Light-Field-Correction data set (Itoh & Klinker, TVCG 21(4), 2015).
 
-One numbered folder per viewpoint: a camera at the eye's place photographs an asymmetric grid of circles without and
-with the headset before it, and the headset's own camera photographs the grid too. The files are Ubitrack archives, one
-line of text each. Ubitrack's frames are OpenGL's (x right, y up, looking along -z); its image rows run upwards.
+One numbered folder per viewpoint: a camera at the eye's position photographs an asymmetric grid of circles without and
+with the headset in front of it, and the headset's own camera photographs the grid too. The files are Ubitrack archives,
+one line of text each. Ubitrack's frames are OpenGL's (x right, y up, looking along -z); its image rows run upwards.
 """
 
 import re
@@ -23,7 +23,7 @@ from wlr_render.optics.device_file import load_device
 SIZE_PX = (1280, 1024)
 FOCAL_PX = (1575.02, 1570.46)
 CENTRE_FROM_BOTTOM_PX = (664.35, 513.36)
-"""The camera as its makers calibrated it; the centre counts from the middle of the bottom-left pixel."""
+"""Calibration of the camera by its makers; the centre is counted from the middle of the bottom-left pixel."""
 
 _SIGNATURE = ["22", "serialization::archive"]
 _COUNT_AT, _VALUES_AT = 8, 12
@@ -36,21 +36,21 @@ _MEDIAN_LENGTH = np.sqrt(2.0 * np.log(2.0))  # median length of a two-vector of 
 
 @dataclass(frozen=True)
 class SeeThroughPairs:
-    """Dots seen by one camera without the headset and, from the same place, through it.
+    """Dots seen by one camera without the headset and, from the same position, through the headset.
 
     The device frame is the frame of the headset's world-facing camera, with the axes of OpenXR; metres. Pixels have
-    (0, 0) at the outer corner of the top-left pixel, v down. `v` is the number of views, `n` of dots.
+    (0, 0) at the outer corner of the top-left pixel, v down. `v` is the number of views, `n` the number of dots.
 
     Attributes:
         view: (v,) folder names, in numerical order.
         size_px: width and height of the camera's image.
-        focal_px, centre_px: (2,) of the camera, without lens distortion.
-        device_from_camera: (v, 4, 4) the camera's frame is OpenCV's: x right, y down, z forward.
-        device_from_target: (v, 4, 4) the dots lie in the target's plane z = 0.
+        focal_px, centre_px: (2,) focal lengths and centre of the camera, which has no lens distortion.
+        device_from_camera: (v, 4, 4); the camera's frame is OpenCV's: x right, y down, z forward.
+        device_from_target: (v, 4, 4); the dots lie in the target's plane z = 0.
         dot_in_target: (n, 3) the dots, the same in all views.
-        bare_px: (v, n, 2) where the camera saw the dots without the headset.
-        through_px: (v, n, 2) where it saw them through the headset.
-        bare_time_s, through_time_s: (v,) when, in seconds after the first photograph of the set.
+        bare_px: (v, n, 2) pixels of the dots without the headset.
+        through_px: (v, n, 2) pixels of the dots through the headset.
+        bare_time_s, through_time_s: (v,) times of the photographs, in seconds after the first photograph of the set.
     """
 
     view: tuple[str, ...]
@@ -70,8 +70,8 @@ def read_itoh_seethrough(folder: str | Path) -> SeeThroughPairs:
     """Read all numbered view folders under `folder` (the set's `data` folder).
 
     Raises:
-        BadInputError: there is no such folder, a file is missing or not an archive of the expected kind, a number is
-            not finite, a view's dots do not fit the others', or its three poses contradict one another.
+        BadInputError: the folder does not exist, a file is missing or not an archive of the expected kind, a number is
+            not finite, a view's dots differ from the other views' dots, or its three poses contradict one another.
     """
     root = Path(folder)
     folders = (path.name for path in root.glob("*") if re.fullmatch("[0-9]{1,6}", path.name) and path.is_dir())
@@ -94,7 +94,7 @@ def read_itoh_seethrough(folder: str | Path) -> SeeThroughPairs:
         dot_in_target=views[0].dot_in_target,
         bare_px=_from_top(np.stack([view.bare for view in views])),
         through_px=_from_top(np.stack([view.through for view in views])),
-        # Whole nanoseconds since 1970 do not fit a float: subtract first.
+        # Nanoseconds since 1970 are not exact in a float, so they are subtracted first.
         bare_time_s=(bare_ns - first_ns) * 1e-9,
         through_time_s=(through_ns - first_ns) * 1e-9,
     )
@@ -104,7 +104,7 @@ def see_through_session(pairs: SeeThroughPairs) -> tuple[Bench, Session]:
     """Return pairs of photographs as a session, with the bench without optics as its nominal bench.
 
     A capture has its view's number and its own target pose. Its time is the time of the photograph through the headset,
-    after the first of the set. The bench states the scatter of a point from both photographs.
+    after the first of the set. The bench states the scatter of a point in both photographs together.
     """
     views, dots = pairs.through_px.shape[:2]
     camera = EyeballCamera(np.array(pairs.size_px, dtype=float), pairs.focal_px, pairs.centre_px, scatter_px(pairs))
@@ -139,10 +139,10 @@ def see_through_session(pairs: SeeThroughPairs) -> tuple[Bench, Session]:
 
 
 def scatter_px(pairs: SeeThroughPairs) -> float:
-    """Scatter per axis of a dot's displacement by the headset about a smooth surface over its view.
+    """Return the scatter per axis of the dots' displacements by the headset about a smooth surface over each view.
 
-    It is taken from the median length in each view, and of the views the median, so that a few misdetected dots count
-    little.
+    It is the median over views of an estimate from the median length in each view, so that a few misdetected dots have
+    little effect.
     """
     sigmas = []
     for bare, through in zip(pairs.bare_px, pairs.through_px, strict=True):
@@ -155,14 +155,14 @@ def scatter_px(pairs: SeeThroughPairs) -> float:
 
 
 def _from_top(pixel_from_bottom: FloatArray) -> FloatArray:
-    """Rows counted upwards from pixel centres (..., 2) -> our pixels, rows downwards from the outer corner."""
+    """Convert pixels (..., 2), rows upwards from pixel centres, to our pixels, rows downwards from the outer corner."""
     u, v = np.moveaxis(pixel_from_bottom, -1, 0)
     return np.stack([u + 0.5, SIZE_PX[1] - (v + 0.5)], axis=-1)
 
 
 @dataclass(frozen=True)
 class _ViewFolder:
-    """One folder, pixels still counted from the bottom."""
+    """One folder, with pixels still counted from the bottom."""
 
     device_from_camera: FloatArray
     device_from_target: FloatArray

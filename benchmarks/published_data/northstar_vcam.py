@@ -1,10 +1,11 @@
 """Gray-code captures of a North Star display through its combiner (J. Vincur, 3D-Calibration-VCam).
 
-A stereo camera on a lift stands where the eyes would be, at two heights. At each it decodes a bare monitor of known
-size, which gives its pose, and then the headset's two displays. So each eye's display is known from two viewpoints.
+A stereo camera on a lift is at the position of the eyes, at two heights. At each height it decodes a bare monitor of
+known size, which gives the camera's pose, and then the headset's two displays. So each display is known from two
+viewpoints.
 
-A map is a 16-bit image of the two cameras' views side by side; value / 65535 is the place on the monitor or on that
-eye's half of the screen, 0 means no data. The code has 8 bits, and the maps were smoothed after decoding.
+A map is a 16-bit image of the two cameras' views side by side; value / 65535 is the position on the monitor or on that
+eye's half of the screen, and 0 means no data. The code has 8 bits, and the maps were smoothed after decoding.
 """
 
 from dataclasses import dataclass
@@ -22,18 +23,18 @@ from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 
 PANEL = Panel(1440, 1600)
-"""One eye's half of the screen of a North Star headset; the maps only know fractions of it."""
+"""One eye's half of the screen of a North Star headset; the maps state fractions of it."""
 
 EYES = ("left", "right")
 _HEIGHTS = ("D", "U")
 _CODE_STEP = 1 / 256
 _FULL_SCALE = 65535.0
 _LARGEST_PX = 1e6
-_MONITOR_M = (0.05, 5.0)  # width and height
-_EDGE_PX = 12  # the smoothing mixed the map with its empty surround: beyond this the roughness no longer falls
-_EVERY_PX = 3  # sampling step on each axis; the smoothing makes closer neighbours copies of one another
+_MONITOR_M = (0.05, 5.0)  # smallest and largest width and height
+_EDGE_PX = 12  # rim in which smoothing mixed the map with its empty surround; farther in, the roughness no longer falls
+_EVERY_PX = 3  # sampling step on each axis; smoothing makes closer neighbours copies of one another
 _MONITOR_EVERY_PX = 8
-_TOLERANCE_PX = 1.0  # a monitor that fits its map worse than this is not the one that was photographed
+_TOLERANCE_PX = 1.0  # largest misfit of a monitor to its map; beyond it, another monitor was photographed
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,8 @@ class VcamCaptures:
 
     Attributes:
         left, right: captures of each eye; sigma is the rounding to the code's steps, before the smoothing.
-        monitor: (4,) left and right camera with the rig down, then up.
-        stated_baseline_m: distance between the cameras in the rig's own calibration; None if it states none.
+        monitor: (4,) fits of the left and right camera with the rig down, then up.
+        stated_baseline_m: distance between the cameras in the rig's own calibration; None if not stated.
     """
 
     left: DisplayCaptures
@@ -73,7 +74,7 @@ class VcamCaptures:
 
     @property
     def baseline_m(self) -> FloatArray:
-        """Distance between the two cameras as the monitor shows it, rig down and up (2,)."""
+        """Distances (2,) between the two cameras by the monitor, with the rig down and up."""
         left, right = (
             np.stack([each.viewpoint[each.capture == height][0] for height in range(len(_HEIGHTS))])
             for each in (self.left, self.right)
@@ -94,7 +95,7 @@ class _Camera:
 
 @dataclass(frozen=True)
 class _Pose:
-    """A camera before the monitor, whose frame is x right, y down, z away from the camera, from its top-left corner."""
+    """A camera in the monitor's frame: x right, y down, z away from the camera; origin in the top-left corner."""
 
     camera_from_monitor: FloatArray
     fit: MonitorFit
@@ -104,7 +105,7 @@ def read_northstar_vcam(folder: str | Path) -> VcamCaptures:
     """Read one session: `M` and `C` maps of the rig down (`D`) and up (`U`), cameraCalibration.json and config.json.
 
     Raises:
-        BadInputError: a file is missing or not of this form, a map has no data, or a monitor does not fit its map.
+        BadInputError: a file is missing or in another form, a map has no data, or a monitor does not fit its map.
     """
     root = Path(folder)
     cameras = _cameras(root / "cameraCalibration.json")
@@ -149,7 +150,7 @@ def _stated_baseline_m(path: Path) -> float | None:
 
 
 def _rig(path: Path) -> Table:
-    """Return the two cameras, the first ones of a calibration file."""
+    """Return the first two cameras of a calibration file."""
     rigs = read_json(path, "a calibration of two cameras").tables("deviceCalibrations")
     if not rigs:
         raise BadInputError(f"{path}: 'deviceCalibrations' is empty; calibrate the rig again.")
@@ -170,7 +171,7 @@ def _map(root: Path, name: str) -> FloatArray:
 
 
 def _rows(view: FloatArray, every_px: int, what: str) -> tuple[FloatArray, FloatArray]:
-    """Camera pixels (n, 2) and the fractions decoded there (n, 2), away from the edge of the data."""
+    """Return camera pixels (n, 2) and the fractions (n, 2) decoded there, away from the edge of the data."""
     from scipy.ndimage import binary_erosion
 
     inside = binary_erosion(np.isfinite(view).all(axis=-1), iterations=_EDGE_PX)
@@ -244,7 +245,7 @@ def _dir_in_camera(camera: _Camera, pixel: FloatArray) -> FloatArray:
 
 
 def _rounding_arcmin(camera: _Camera, pixel: FloatArray, fraction: FloatArray) -> FloatArray:
-    """(n,) sigma of a direction per axis from rounding the fractions to steps, by the view's mean magnification."""
+    """Return the sigma (n,) of a direction per axis due to rounding the fractions, by the view's mean magnification."""
     spread = np.column_stack([np.ones(len(pixel)), fraction])
     slope = np.linalg.lstsq(spread, camera.tangents(pixel), rcond=None)[0][1:]
     variance = np.sum((slope * _CODE_STEP) ** 2) / 12 / 2

@@ -15,15 +15,15 @@ from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import IntArray
 from wlr_render.report.blocks import Cell, ReportTable
 
-_COMPARED = 100_000  # camera pixels that OpenCV's decoder is given; it decodes them one by one
-_ON_SURFACE_PX = 1.5  # wide enough for whole panel pixels
-_BLACK_THRESHOLD = 40  # OpenCV's defaults, in grey values of 255: of white over black,
-_WHITE_THRESHOLD = 5  # and of a bit over its inverse
+_COMPARED = 100_000  # number of camera pixels for OpenCV's decoder, which decodes them one by one
+_ON_SURFACE_PX = 1.5  # largest distance from a plane, wide enough for whole panel pixels
+_BLACK_THRESHOLD = 40  # OpenCV's default contrast of white over black, in grey values of 255
+_WHITE_THRESHOLD = 5  # OpenCV's default contrast of a bit over its inverse
 
 
 @dataclass(frozen=True, eq=False)
 class OpencvCodes:
-    """Codes that OpenCV decodes.
+    """Codes decoded by OpenCV.
 
     Attributes:
         code: (n, 2) whole panel pixel (column, row).
@@ -42,7 +42,7 @@ def has_opencv_decoder() -> bool:
 def opencv_codes(photographs: Iterable[Photograph], panel: Panel, camera_pixel: IntArray) -> OpencvCodes:
     """Decode 8-bit photographs, white and black first, at camera pixels (n, 2) given as (column, row).
 
-    Only the values at these pixels are kept, as strips one pixel high, because the decoder needs all pictures at once.
+    Only the values at these pixels are kept, as strips one pixel high, because the decoder holds all pictures at once.
     """
     column, row = np.asarray(camera_pixel).T
     strips = [np.ascontiguousarray(photograph[row, column][None]) for photograph in photographs]
@@ -69,7 +69,7 @@ def compared_with_opencv(
 def comparison_table(
     decoded: Decoded, theirs: OpencvCodes, place: NDArray[np.int64], survey: PlaneSurvey, lenses: Lenses
 ) -> ReportTable:
-    """Our decoder and OpenCV's at the same camera pixels, of flat index `place` (n,), judged by flat surfaces."""
+    """Compare our decoder and OpenCV's at the same camera pixels, with flat indices `place` (n,), by flat surfaces."""
     width = decoded.rejection.shape[1]
     seen = np.stack([place % width, place // width], axis=-1) + 0.5
     ours, accepted = decoded.pixel.reshape(-1, 2)[place], decoded.accepted.ravel()[place]

@@ -16,7 +16,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 PIXEL_MM = 0.05
 PANEL = Panel(1300, 1300)
-"""The tables state millimetres from the lens axis: here in pixels of 0.05 mm, with the axis in the middle."""
+"""Panel with pixels of 0.05 mm and the lens axis in the middle, for tables in millimetres from the axis."""
 
 _LARGEST_SCREEN_MM = 500.0
 _NAME = re.compile(r"(\d+(?:\.\d+)?)_mm_Eye_Relief")
@@ -24,14 +24,14 @@ _NAME = re.compile(r"(\d+(?:\.\d+)?)_mm_Eye_Relief")
 
 @dataclass(frozen=True)
 class LensTable:
-    """One eye relief. field_deg: (n, 2) horizontal and vertical field angles; screen_mm: (n, 2) where they fall."""
+    """One eye relief. field_deg: (n, 2) horizontal and vertical field angles; screen_mm: (n, 2) screen positions."""
 
     field_deg: FloatArray
     screen_mm: FloatArray
 
 
 def read_osvr_hdk13(path: str | Path) -> LensTable:
-    """Read one table of four columns; lines that speak of a ray error are left out.
+    """Read one table of four columns; lines that report a ray error are left out.
 
     Raises:
         BadInputError: the file cannot be read, or a line is not four finite numbers.
@@ -51,7 +51,8 @@ def read_osvr_captures(folder: str | Path) -> DisplayCaptures:
     """Read all tables N_mm_Eye_Relief*.txt of a folder as captures of one display from N mm behind the lens.
 
     The device frame has its origin at the middle eye relief on the lens axis. Sigma is the rounding of angles and
-    millimetres to the printed digits; the trace itself is exact. Field angles where the picture folds over are omitted.
+    millimetres to the printed digits; the trace itself is exact. Field angles at which the picture folds over are
+    omitted.
 
     Raises:
         BadInputError: the folder has fewer than two tables, or a table is faulty.
@@ -101,20 +102,20 @@ def _unfolded(path: Path, table: LensTable) -> LensTable:
 
 
 def _areas(triangle: FloatArray) -> FloatArray:
-    """Twice the signed areas (t,) of triangles (t, 3, 2)."""
+    """Return twice the signed areas (t,) of triangles (t, 3, 2)."""
     first, second = triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
     return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
 
 
 def relief_swim_arcmin_per_mm(near: LensTable, far: LensTable, moved_mm: float, radius_deg: float) -> float:
-    """Rms change of direction per millimetre of eye relief, over field angles within `radius_deg`.
+    """Return the rms change of direction per millimetre of eye relief, over field angles within `radius_deg`.
 
-    The change on the screen is turned into an angle by the near table's scale within 5 degrees of the axis.
+    The change on the screen is converted to an angle with the near table's scale within 5 degrees of the axis.
 
     Raises:
-        BadInputError: the tables share no field angles there.
+        BadInputError: the tables have no field angles in common there.
     """
-    # The files print angles with two decimals: equal text is equal bits.
+    # The files print angles with two decimals, so equal text gives equal bits.
     match = (near.field_deg[:, None] == far.field_deg[None]).all(axis=-1)
     first, second = np.nonzero(match)
     inside = np.linalg.norm(near.field_deg[first], axis=1) <= radius_deg

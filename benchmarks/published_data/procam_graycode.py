@@ -1,4 +1,4 @@
-"""Reads Gray-code photographs of a projector: github.com/kamino410/procam-calibration (MIT), folder `sample_data`.
+"""Read Gray-code photographs of a projector: github.com/kamino410/procam-calibration (MIT), folder `sample_data`.
 
 One capture is a folder of 42 photographs `graycode_00.png` to `graycode_41.png`, in the order of the project's
 `gen_graycode_imgs.py`: OpenCV's `GrayCodePattern` (bits of u from coarse to fine, each followed by its inverse, then
@@ -33,7 +33,7 @@ _SIZES = {
     "cam_dist": 5,
     "proj_int": 9,
     "proj_dist": 5,
-}  # numbers of each key that is read
+}  # count of numbers of each key that is read
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +42,9 @@ class ProcamCapture:
 
     Attributes:
         photographs: 42 paths in the order in which our Gray code is shown: white, black, bits of u, bits of v.
-        panel: of the projector.
-        camera: that took them.
-        projector: as a camera, which has the panel as its image.
+        panel: panel of the projector.
+        camera: camera that took the photographs.
+        projector: the projector as a camera with the panel as its image.
     """
 
     photographs: tuple[Path, ...]
@@ -54,10 +54,10 @@ class ProcamCapture:
 
 
 def read_procam_graycode(folder: str | Path) -> ProcamCapture:
-    """Read a capture, or a set that holds a single one. Photographs are only listed.
+    """Read a capture, or a set that holds a single capture. Photographs are only listed.
 
     Raises:
-        BadInputError: a photograph or the calibration is missing, there are photographs too many, or several captures.
+        BadInputError: a photograph or the calibration is missing, or there are extra photographs or several captures.
     """
     capture = _capture_of(Path(folder))
     listed = photographs_in(capture)
@@ -87,7 +87,7 @@ def _capture_of(folder: Path) -> Path:
 
 
 def _read_calibration(file: Path) -> tuple[LensCamera, LensCamera]:
-    """Camera and projector."""
+    """Read camera and projector."""
     text = read_text(file, "a calibration", remedy="copy it from the set, next to its captures")
     check_nesting(file, text)
     with as_bad_input(file, "a calibration", "copy it from the set again"):

@@ -29,7 +29,7 @@ from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT, Progress
 
-_BASELINE_AGREES = 5e-3  # relative difference of baselines that the printed monitor and the camera model leave open
+_BASELINE_AGREES = 5e-3  # relative uncertainty of baselines due to the stated monitor size and the camera model
 
 
 DataSet = Literal["itoh-seethrough", "northstar-vcam", "two-views", "osvr-hdk13", "procam-graycode", "boards"]
@@ -53,7 +53,7 @@ class PublishedDataOptions(Options):
 
 
 def run(options: PublishedDataOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Convert, decode or judge a set; writes into `options.out`.
+    """Convert, decode or judge a set; write into `options.out`.
 
     Raises:
         BadInputError: the set is faulty, or the folder cannot be written or holds another session.

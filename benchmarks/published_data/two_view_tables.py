@@ -1,4 +1,4 @@
-"""Tables of what captures from two viewpoints say about display models."""
+"""Tables of the evidence for display models from captures at two viewpoints."""
 
 from collections.abc import Sequence
 
@@ -33,7 +33,7 @@ def verdict(evidence: ViewpointEvidence) -> str:
 
 
 def _split_sigma(eyes: Sequence[EyeEvidence]) -> float:
-    """Uncertainty of the misclosure's parts, arcminutes."""
+    """Return the uncertainty of the misclosure's parts, arcminutes."""
     return 0.5 * float(np.linalg.norm([eye.misclosure_sigma_arcmin for eye in eyes]))
 
 

@@ -1,4 +1,4 @@
-"""Which display model captures from two viewpoints support, and whether optics or rig cause its residual.
+"""Evidence for display models from captures at two viewpoints, and optics or rig as cause of the residual.
 
 Three models of one panel, each a set of polynomials over its pixels and nested in the next:
 
@@ -7,7 +7,7 @@ Three models of one panel, each a set of polynomials over its pixels and nested 
 - a bundle of rays: a direction from each viewpoint (4).
 
 Two viewpoints can refute the first two. They cannot test the bundle's assumption that a direction does not change along
-its own ray; that takes viewpoints at different depths.
+its own ray; such a test needs viewpoints at different depths.
 
 The two rays of a pixel meet if the pixel has one 3-D point. The angle between them where they pass (the misclosure) is
 a pseudo-scalar: in mirror-symmetric eyes, optics give it opposite signs and an error of the rig gives it equal signs.
@@ -34,7 +34,7 @@ IGNORED, POINT, BUNDLE = "viewpoint ignored", "one 3-D point per pixel", "bundle
 _LIMITS = Limits(12, 0, 12)
 _FOLDS = 8
 _CELLS = 16  # cells per axis of the panel; cells are held out as a whole, and noise is estimated in each
-_ROWS_PER_CELL = 12  # twice the terms of the quadratic that judges the noise
+_ROWS_PER_CELL = 12  # fewest rows per cell, twice the terms of the quadratic for the noise
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class ModelEvidence:
     Attributes:
         name: name of the model.
         polynomials: number of its polynomials.
-        log_evidence: natural logarithm; the model with the largest is most probable.
+        log_evidence: natural logarithm of the evidence; the model with the largest value is most probable.
         held_out_arcmin, standard_error: rms of the angle in held-out cells, and its uncertainty.
     """
 
@@ -69,7 +69,7 @@ class EyeEvidence:
         misclosure_arcmin: (n,) misclosure in the cells.
         misclosure_sigma_arcmin: rms uncertainty of the misclosure, from fits to two halves of the cells.
         image_dioptre: (n,) inverse distance, along the first ray, at which the two rays pass each other.
-        rest_arcmin: (2, n, 2) per viewpoint, mean of measured minus bundle in x and y.
+        rest_arcmin: (2, n, 2) mean of measured minus bundle in x and y, per viewpoint.
     """
 
     eye: str
@@ -111,7 +111,8 @@ def viewpoint_evidence(eyes: Sequence[DisplayCaptures]) -> ViewpointEvidence:
     """Judge the captures of one eye, or of the left and the right eye.
 
     Raises:
-        BadInputError: an eye twice or none, not two viewpoints, or too few pixels seen from both.
+        BadInputError: an eye is given twice or not at all, there are not two viewpoints, or too few pixels are seen
+            from both.
     """
     if not eyes or len({captures.eye for captures in eyes}) != len(eyes):
         raise BadInputError("viewpoint evidence: give the captures of one eye, or of the left and the right eye.")
@@ -124,9 +125,9 @@ class Survey:
     """Captures of one eye: the pixels that both viewpoints see.
 
     Attributes:
-        captures: those rows.
-        second: (n,) whether a row is of the second viewpoint.
-        cell: (n,) its cell; `kept` lists the cells.
+        captures: captures of these pixels.
+        second: (n,) whether a row belongs to the second viewpoint.
+        cell: (n,) cell of each row; `kept` lists the cells.
         viewpoint: (2, 3).
     """
 
@@ -164,13 +165,13 @@ class Survey:
 
     @property
     def tangents(self) -> FloatArray:
-        """(n, 2) of the measured directions."""
+        """Tangents (n, 2) of the measured directions."""
         return self.captures.tangents
 
     @property
     def fold(self) -> IntArray:
-        """(n,) which of eight parts a row is held out with; cells stay together."""
-        # Scattered cells: a whole column at the panel's edge would be extrapolated.
+        """(n,) index of the fold, one of eight, in which a row is held out; cells stay together."""
+        # Folds of scattered cells, because a whole column at the panel's edge would be extrapolated.
         scattered = np.random.default_rng(0).permutation(len(self.kept)) % _FOLDS
         return np.asarray(scattered[np.searchsorted(self.kept, self.cell)])
 
@@ -181,7 +182,7 @@ class Survey:
         return np.asarray(unit * self.captures.panel.size_px)
 
     def multiplier(self, name: str) -> FloatArray:
-        """(n, 2, polynomials): t = a; t = a - w q, with q as in `PointPerPixelDisplay`; t = a + (-1/2 or 1/2) b."""
+        """Return factors (n, 2, polynomials): t = a; a - w q, see `PointPerPixelDisplay`; or a + (-1/2 or 1/2) b."""
         direction = np.tile(np.eye(2), (len(self.cell), 1, 1))
         if name == IGNORED:
             return direction
@@ -192,7 +193,7 @@ class Survey:
         return np.concatenate([direction, -crossing[:, :, None]], axis=2)
 
     def fit(self, name: str, rows: NDArray[np.bool_]) -> SmoothFit:
-        """Fit an account to some rows."""
+        """Fit a model to some rows."""
         tangents = self.tangents[rows]
         return fit(
             FitReadings(
@@ -209,7 +210,7 @@ class Survey:
         )
 
     def evidence(self) -> EyeEvidence:
-        """All accounts, judged."""
+        """Return the evidence for all models."""
         everything = np.ones(len(self.cell), dtype=bool)
         fits = {name: self.fit(name, everything) for name in (IGNORED, POINT, BUNDLE)}
         models = tuple(self.judged(name, fitted) for name, fitted in fits.items())
@@ -228,7 +229,7 @@ class Survey:
         )
 
     def noise_arcmin(self) -> float:
-        """Rms angle about a local quadratic in each cell and viewpoint."""
+        """Return the rms angle about a local quadratic in each cell and viewpoint."""
         metric, sum_of_squares, freedom = angular_metric(self.tangents), 0.0, 0
         for cell in self.kept:
             for which in (False, True):
@@ -242,7 +243,7 @@ class Survey:
         return float(np.sqrt(sum_of_squares / freedom))
 
     def misclosure_sigma_arcmin(self) -> float:
-        """Rms uncertainty of the misclosure, from two halves of the cells."""
+        """Return the rms uncertainty of the misclosure, from two halves of the cells."""
         odd = (self.cell % _CELLS + self.cell // _CELLS) % 2 == 1
         first, second = (_crossing(self.fit(BUNDLE, half), self.centres, self.viewpoint)[0] for half in (odd, ~odd))
         return 0.5 * rms(first - second)
@@ -256,7 +257,7 @@ class Survey:
         return ModelEvidence(name, self.multiplier(name).shape[2], fitted.posterior.log_evidence, rms, error)
 
     def rest_arcmin(self, bundle: SmoothFit) -> FloatArray:
-        """(2, cells, 2) mean of measured minus bundle, per viewpoint."""
+        """Return the mean (2, cells, 2) of measured minus bundle, per viewpoint and cell."""
         mean, difference = _mean_and_difference(bundle, self.captures.pixel)
         fitted = mean + (self.second - 0.5)[:, None] * difference
         rest = (self.tangents - fitted) * angular_metric(self.tangents)[:, None]
@@ -275,7 +276,7 @@ def _mean_and_difference(bundle: SmoothFit, pixel: FloatArray) -> tuple[FloatArr
 
 
 def _crossing(bundle: SmoothFit, pixel: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Misclosure in arcminutes, right-handed about the baseline, and inverse distance along the first ray, (n,)."""
+    """Return misclosure (n,), arcminutes, right-handed about the baseline, and inverse distance along the first ray."""
     mean, difference = _mean_and_difference(bundle, pixel)
     first, second = dir_of_tangents(mean - 0.5 * difference), dir_of_tangents(mean + 0.5 * difference)
     baseline = viewpoint[1] - viewpoint[0]
@@ -302,10 +303,10 @@ def _mirror_split(one: EyeEvidence, other: EyeEvidence) -> MirrorSplit:
 
 
 def rms(values: FloatArray) -> float:
-    """Root mean square of all values."""
+    """Return the root mean square of all values."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def vector_rms(field: FloatArray) -> FloatArray:
-    """Root mean square length of vectors, (viewpoints, cells, 2) -> (viewpoints,)."""
+    """Return the root mean square length (viewpoints,) of vectors (viewpoints, cells, 2)."""
     return np.asarray(np.sqrt(np.mean(np.sum(field**2, axis=2), axis=1)))

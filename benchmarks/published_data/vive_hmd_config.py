@@ -1,7 +1,7 @@
 """Read the factory calibration of a Vive headset from its configuration file: one radial polynomial per colour.
 
 With r the distance from the lens' centre in units of half the eye's image width, a pixel at offset d from the centre
-is seen in the direction whose offset is d / (1 + k1 r^2 + k2 r^4 + k3 r^6) ("DISTORT_DPOLY3").
+is seen in the direction with offset d / (1 + k1 r^2 + k2 r^4 + k3 r^6) ("DISTORT_DPOLY3").
 """
 
 import json
@@ -30,13 +30,13 @@ class RadialColour:
     coefficients: FloatArray
 
     def tangents(self, offset: FloatArray) -> FloatArray:
-        """Offsets r (...) from the lens' centre -> (..., 3) radial tangents of the R, G, B view directions."""
+        """Return radial tangents (..., 3) of the R, G, B view directions at offsets r (...) from the lens' centre."""
         r = np.asarray(offset)[..., None]
         powers = r[..., None] ** (2 * np.arange(1, self.coefficients.shape[1] + 1))
         return np.asarray(r / (1.0 + np.sum(self.coefficients * powers, axis=-1)) / self.focal)
 
     def lateral_colour_arcmin(self, offset: FloatArray) -> FloatArray:
-        """Angle (...) from the red to the blue view direction of a pixel, outwards positive."""
+        """Return the angle (...) from the red to the blue view direction of a pixel, outwards positive."""
         angle = np.arctan(self.tangents(offset))
         return np.asarray((angle[..., 2] - angle[..., 0]) / ARCMIN)
 
