@@ -1,6 +1,6 @@
 """Small headsets, a small scene, and what drives a compositor as an engine does."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,6 +33,8 @@ from wlr_render.warp.ray_map import RayMap, middle_axes, solve_pixels
 CONTEXTS = [pytest.param("egl", marks=pytest.mark.gl), pytest.param("osmesa", marks=pytest.mark.gl)]
 HEAD = gl_scenes.at(0.2, 1.4, 0.5, transforms.rotation_about("y", 0.3) @ transforms.rotation_about("x", -0.1))
 SMALL = 72, 60
+Make = Callable[..., Any]
+"""Makes compositors: the fixture `compositor`."""
 
 
 def scene(wall: bool = True) -> Scene:

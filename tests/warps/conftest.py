@@ -4,14 +4,18 @@ A folder `warp` would hide that the library of this name is not installed: Pytho
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import moderngl
 import pytest
-from warps.composing import SMALL
+from gl_caller import open_other
+from warps.composing import SMALL, Make, planar, viewpoint
 
 from wlr_render.errors import MissingGlError
+from wlr_render.gl.context import GlContext
 from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.compositor import Compositor
 
 
@@ -44,3 +48,34 @@ def compositor(request: pytest.FixtureRequest) -> Iterator[Callable[..., Any]]:
     yield make
     for each in made:
         each.release()
+
+
+@pytest.fixture
+def made(compositor: Make, flat_image_headset: Eye) -> Compositor:
+    """A compositor of the flat image headset."""
+    one: Compositor = compositor(flat_image_headset)
+    return one
+
+
+@pytest.fixture
+def seen(flat_image_headset: Eye) -> FloatArray:
+    """A viewpoint of the flat image headset."""
+    return viewpoint(flat_image_headset)
+
+
+@pytest.fixture
+def pair(flat_image_headset: Eye) -> dict[str, Eye]:
+    return {"left": replace(flat_image_headset, eye="left"), "right": flat_image_headset}
+
+
+@pytest.fixture(params=["planar", "flat image"])
+def headset(request: pytest.FixtureRequest, flat_image_headset: Eye) -> Eye:
+    return planar() if request.param == "planar" else flat_image_headset
+
+
+@pytest.fixture
+def theirs(gl_context: GlContext) -> Iterator[moderngl.Context]:
+    """A caller's context; `gl_context` skips the test where there is no OpenGL."""
+    other = open_other()
+    yield other
+    other.release()

@@ -1,13 +1,13 @@
 """A host that promises OpenGL's default state: the same pictures, and nothing of its state is read or restored."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from gl_caller import Caller, make_current
-from warps.composing import HEAD, SMALL, draw, scene, viewpoint
+from warps.composing import HEAD, SMALL, Make, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.gl.framebuffers import TextureLayer
@@ -27,7 +27,7 @@ def models(flat_image_headset: Eye) -> dict[str, Eye]:
 
 
 @pytest.fixture
-def clean(caller: Caller, compositor: Callable[..., Any], models: Mapping[str, Eye]) -> Compositor:
+def clean(caller: Caller, compositor: Make, models: Mapping[str, Eye]) -> Compositor:
     made: Compositor = compositor(models, context=caller.ctx, host_state="clean")
     return made
 
@@ -43,7 +43,7 @@ def switches(caller: Caller) -> dict[str, Any]:
 
 
 def test_the_pictures_are_those_of_an_own_context_and_no_switch_changes(
-    caller: Caller, compositor: Callable[..., Any], models: Mapping[str, Eye]
+    caller: Caller, compositor: Make, models: Mapping[str, Eye]
 ) -> None:
     before = switches(caller)
     own = compositor(models, context="egl")
@@ -101,7 +101,7 @@ def test_pictures_by_number_and_layer(caller: Caller, clean: Compositor, models:
 
 @pytest.mark.parametrize("host_state", ["kept", "clean"])
 def test_a_number_is_asked_about_in_each_frame_and_a_layer_once(
-    caller: Caller, compositor: Callable[..., Any], models: Mapping[str, Eye], host_state: str
+    caller: Caller, compositor: Make, models: Mapping[str, Eye], host_state: str
 ) -> None:
     """Another object may have a number in the next frame; who makes a new one makes a new `TextureLayer`."""
     ctx, size = caller.ctx, (2 * SMALL[0], SMALL[1])

@@ -1,14 +1,13 @@
 """Three models of one eye: each colour is bent as its own model says."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
 from flat_image import PrismPlate
 from present import narrowed
-from warps.composing import HEAD, clear_of_edges, draw, scene, traced, viewpoint
+from warps.composing import HEAD, Make, clear_of_edges, draw, scene, traced, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.draw.ray_tracing import RayRenderer
@@ -21,7 +20,7 @@ from wlr_render.warp.raster_camera import EyePlan
 
 
 @pytest.mark.gl
-def test_each_colour_is_what_its_own_models_rays_meet(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_each_colour_is_what_its_own_models_rays_meet(compositor: Make, flat_image_headset: Eye) -> None:
     see_through = narrowed(flat_image_headset.see_through, PrismPlate)
     colours = [
         replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.02, 0.0, 0.02)
@@ -49,7 +48,7 @@ def composed(compositor: Compositor, model: Eye) -> ComposedFrame:
 
 
 @pytest.mark.gl
-def test_three_models_alike_are_one(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_three_models_alike_are_one(compositor: Make, flat_image_headset: Eye) -> None:
     models = flat_image_headset, [flat_image_headset] * 3
     alone, together = (composed(compositor({"right": given}), flat_image_headset) for given in models)
     np.testing.assert_array_equal(together.read(), alone.read())

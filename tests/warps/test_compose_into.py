@@ -1,10 +1,9 @@
 """Pictures go where they are told to, upright, and nowhere else."""
 
 import ctypes
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import moderngl
 import numpy as np
@@ -12,14 +11,14 @@ import pytest
 from gl_caller import make_current, open_other
 from numpy.typing import NDArray
 from present import narrowed
-from warps.composing import HEAD, SMALL, draw, scene, viewpoint
+from warps.composing import HEAD, SMALL, Make, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
-from wlr_render.gl.context import GlContext
 from wlr_render.gl.framebuffers import TextureLayer
 from wlr_render.gl.native_contexts import OsMesaBinding
 from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.compositor import Compositor
 
 pytestmark = pytest.mark.gl
@@ -29,23 +28,15 @@ DRAW_FRAMEBUFFER, COLOUR = 0x8CA9, 0x8CE0
 
 
 @pytest.fixture
-def theirs(gl_context: GlContext) -> Iterator[moderngl.Context]:
-    """A caller's context; `gl_context` skips the test where there is no OpenGL."""
-    made = open_other()
-    yield made
-    made.release()
-
-
-@pytest.fixture
-def one_eye(theirs: moderngl.Context, compositor: Callable[..., Any], flat_image_headset: Eye) -> Compositor:
+def one_eye(seen: FloatArray, theirs: moderngl.Context, compositor: Make, flat_image_headset: Eye) -> Compositor:
     """A compositor of one eye to which a frame was submitted."""
     made: Compositor = compositor(flat_image_headset, context=theirs)
-    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    draw(made, SceneSource(made, scene()), HEAD, seen)
     return made
 
 
 @pytest.fixture
-def two_eyes(theirs: moderngl.Context, compositor: Callable[..., Any], flat_image_headset: Eye) -> Compositor:
+def two_eyes(theirs: moderngl.Context, compositor: Make, flat_image_headset: Eye) -> Compositor:
     models = {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
     made: Compositor = compositor(models, context=theirs)
     at = {"left": viewpoint(flat_image_headset, -0.7, 0, 0), "right": viewpoint(flat_image_headset, 0.7, 0, 0)}
@@ -207,10 +198,10 @@ POSITIVE_X, FACE, MULTISAMPLED_ARRAY, RGBA8 = 0x8515, 0x8517, 0x9102, 0x8058
 
 @pytest.mark.parametrize("kind", ["volume", "cube"])
 def test_a_slice_of_a_volume_and_a_face_of_a_cube_are_targets(
-    theirs: moderngl.Context, compositor: Callable[..., Any], flat_image_headset: Eye, kind: str
+    seen: FloatArray, theirs: moderngl.Context, compositor: Make, flat_image_headset: Eye, kind: str
 ) -> None:
     made = compositor(flat_image_headset, SQUARE, context=theirs)
-    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    draw(made, SceneSource(made, scene()), HEAD, seen)
     expected = made.compose().read()
     read: Callable[[], bytes]
     if kind == "volume":
@@ -305,7 +296,7 @@ def test_what_went_elsewhere_is_not_fetched(theirs: moderngl.Context, one_eye: C
         one_eye.compose().source()
 
 
-def test_a_window_is_drawn_to_by_its_number(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_a_window_is_drawn_to_by_its_number(seen: FloatArray, compositor: Make, flat_image_headset: Eye) -> None:
     try:
         window = OsMesaBinding().opened()
     except OSError as error:
@@ -313,7 +304,7 @@ def test_a_window_is_drawn_to_by_its_number(compositor: Callable[..., Any], flat
     window.make_current()
     size = 16, 16  # of an OSMesa context's own picture
     made = compositor(flat_image_headset, size, context="current")
-    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    draw(made, SceneSource(made, scene()), HEAD, seen)
     expected = made.compose().read()
     assert expected.std() > 5
     made.compose(into=0)

@@ -1,8 +1,5 @@
 """A composed frame shows, at every display pixel, what that pixel's exact ray meets; so does a corrected one."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 from gl_scenes import at
@@ -11,6 +8,7 @@ from warps.composing import (
     CONTEXTS,
     HEAD,
     SMALL,
+    Make,
     clear_of_edges,
     draw,
     misplaced_arcmin,
@@ -39,11 +37,6 @@ MOST_ARCMIN, MOST_LATE_ARCMIN = 0.02, 0.05
 @pytest.fixture(scope="module")
 def renderer() -> RayRenderer:
     return RayRenderer(scene())
-
-
-@pytest.fixture(params=["planar", "flat image"])
-def headset(request: pytest.FixtureRequest, flat_image_headset: Eye) -> Eye:
-    return planar() if request.param == "planar" else flat_image_headset
 
 
 def compared(
@@ -75,9 +68,7 @@ def compared(
 
 @pytest.mark.parametrize("context", CONTEXTS)
 @pytest.mark.slow
-def test_it_shows_what_the_exact_rays_meet(
-    compositor: Callable[..., Any], renderer: RayRenderer, headset: Eye, context: str
-) -> None:
+def test_it_shows_what_the_exact_rays_meet(compositor: Make, renderer: RayRenderer, headset: Eye, context: str) -> None:
     composed = compositor(headset, context=context)
     misplaced, colour, snapped = compared(composed, renderer, headset, (HEAD, viewpoint(headset)))
     assert misplaced.max() < allowed(composed.context, MOST_ARCMIN, snapped)
@@ -87,9 +78,7 @@ def test_it_shows_what_the_exact_rays_meet(
 
 @pytest.mark.gl
 @pytest.mark.slow
-def test_a_lattice_coarser_than_the_display_is_within_its_bound(
-    compositor: Callable[..., Any], renderer: RayRenderer
-) -> None:
+def test_a_lattice_coarser_than_the_display_is_within_its_bound(compositor: Make, renderer: RayRenderer) -> None:
     composed = compositor(planar(), (300, 330), context="egl")
     chosen = composed.plan("right").warp_grid
     assert (chosen.cell_px > 1.1 * composed.plan("right").channels[0].display.panel.size_px / composed.size_px).all()
@@ -100,7 +89,7 @@ def test_a_lattice_coarser_than_the_display_is_within_its_bound(
 @pytest.mark.slow
 @pytest.mark.gl
 def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(
-    compositor: Callable[..., Any], renderer: RayRenderer, headset: Eye
+    compositor: Make, renderer: RayRenderer, headset: Eye
 ) -> None:
     late = LATE, viewpoint(headset, -0.6, 0.5, -0.4)
     composed = compositor(headset)
@@ -112,7 +101,7 @@ def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(
 
 @pytest.mark.slow
 @pytest.mark.gl
-def test_corrections_do_not_depend_on_each_other(compositor: Callable[..., Any], headset: Eye) -> None:
+def test_corrections_do_not_depend_on_each_other(compositor: Make, headset: Eye) -> None:
     composed = compositor(headset)
     draw(composed, SceneSource(composed, scene()), HEAD, viewpoint(headset))
     moments = [{}, {"pose": LATE}, {"viewpoint": viewpoint(headset, -0.6, 0.5, -0.4)}]
@@ -125,9 +114,7 @@ def test_corrections_do_not_depend_on_each_other(compositor: Callable[..., Any],
 
 
 @pytest.mark.gl
-def test_each_row_of_a_rolling_scan_out_is_that_of_a_frame_at_its_own_pose(
-    compositor: Callable[..., Any], headset: Eye
-) -> None:
+def test_each_row_of_a_rolling_scan_out_is_that_of_a_frame_at_its_own_pose(compositor: Make, headset: Eye) -> None:
     composed = compositor(headset)
     draw(composed, SceneSource(composed, scene()), HEAD, viewpoint(headset))
     rolling = composed.compose(pose=HEAD, pose_at_last_row=LATE, with_source=True)
@@ -143,7 +130,7 @@ def test_each_row_of_a_rolling_scan_out_is_that_of_a_frame_at_its_own_pose(
 
 @pytest.mark.gl
 def test_a_raster_camera_at_the_viewpoint_gives_the_same_points(
-    compositor: Callable[..., Any], renderer: RayRenderer, flat_image_headset: Eye
+    compositor: Make, renderer: RayRenderer, flat_image_headset: Eye
 ) -> None:
     headset = flat_image_headset
     seen = viewpoint(headset)

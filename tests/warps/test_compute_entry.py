@@ -12,7 +12,7 @@ import pytest
 from gl_caller import Caller, assert_same
 from numpy.typing import NDArray
 from present import present
-from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
+from warps.composing import HEAD, SMALL, Make, draw, planar, scene, viewpoint
 from warps.test_insets import inset_of
 
 from benchmarks.scene_source import SceneSource
@@ -33,7 +33,7 @@ Compose = Callable[[Compositor], Any]
 
 
 @pytest.fixture
-def in_both(compositor: Callable[..., Any], gl_context: GlContext) -> Iterator[Callable[..., list[Any]]]:
+def in_both(compositor: Make, gl_context: GlContext) -> Iterator[Callable[..., list[Any]]]:
     """Composes in both ways with compositors that share no texture; results of fragment shaders come first."""
 
     def compose(run: Compose, channels: int = 1, **options: Any) -> list[Any]:
@@ -140,7 +140,7 @@ def composed_into(made: Compositor, samples: int = 0) -> NDArray[np.uint8]:
         return np.frombuffer(shown.read(components=4), np.uint8).reshape(HEIGHT, WIDTH, 4)[::-1]
 
 
-def test_a_program_finds_its_images_as_they_were(caller: Caller, compositor: Callable[..., Any]) -> None:
+def test_a_program_finds_its_images_as_they_were(caller: Caller, compositor: Make) -> None:
     caller.set_odd_values()
     before = caller.state()
     made = compositor(planar(), context=caller.ctx)

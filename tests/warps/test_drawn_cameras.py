@@ -1,20 +1,20 @@
 """Pictures with the cameras that drew them: located anew, of both eyes in one call."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 from gl_scenes import at
 from numpy.typing import NDArray
-from warps.composing import HEAD, SMALL, scene, viewpoint
+from warps.composing import HEAD, SMALL, Make, scene, viewpoint
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.engine import TextureLayer
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.eye_camera import EyeCamera
 from wlr_render.warp.stored_picture import DepthKind, StoredDepth
@@ -26,11 +26,6 @@ NEWER = HEAD @ at(0.01, -0.004, 0.006, transforms.rotation_about("y", 0.02))
 Pictures = dict[str, NDArray[Any]]
 
 
-@pytest.fixture
-def pair(flat_image_headset: Eye) -> dict[str, Eye]:
-    return {"left": replace(flat_image_headset, eye="left"), "right": flat_image_headset}
-
-
 def pictures(made: Compositor, cameras: Mapping[str, EyeCamera]) -> tuple[Pictures, Pictures]:
     """Colours and inverse depths by eye."""
     raster = GlRaster(made.context, scene())
@@ -38,10 +33,7 @@ def pictures(made: Compositor, cameras: Mapping[str, EyeCamera]) -> tuple[Pictur
     return {eye: each.colour for eye, each in drawn.items()}, {eye: each.inverse_depth for eye, each in drawn.items()}
 
 
-def test_a_picture_may_be_drawn_for_newer_poses_than_its_frame_began_with(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
-    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
+def test_a_picture_may_be_drawn_for_newer_poses_than_its_frame_began_with(made: Compositor, seen: FloatArray) -> None:
     newest = seen + [1e-3, -5e-4, 0]
     frame = made.begin_frame(NEWER, newest)
     colour, inverse = pictures(made, frame)
@@ -57,9 +49,7 @@ def test_a_picture_may_be_drawn_for_newer_poses_than_its_frame_began_with(
     assert (made.compose(pose=NEWER, viewpoint=newest).read() != expected).any()
 
 
-def test_views_are_located_as_a_frame_has_them_and_begin_none(
-    compositor: Callable[..., Any], pair: Mapping[str, Eye]
-) -> None:
+def test_views_are_located_as_a_frame_has_them_and_begin_none(compositor: Make, pair: Mapping[str, Eye]) -> None:
     made, seen = compositor(pair), {eye: viewpoint(model) for eye, model in pair.items()}
     times = {"time_s": 2.0, "predict_s": 0.01}
     made.locate_views(HEAD, seen, time_s=1.99)
@@ -82,9 +72,7 @@ def test_views_are_located_as_a_frame_has_them_and_begin_none(
 
 
 @pytest.mark.parametrize("kind", ["arrays", "textures", "images"])
-def test_both_eyes_in_one_call_are_those_of_two(
-    compositor: Callable[..., Any], pair: Mapping[str, Eye], kind: str
-) -> None:
+def test_both_eyes_in_one_call_are_those_of_two(compositor: Make, pair: Mapping[str, Eye], kind: str) -> None:
     made = compositor(pair)
     seen = {"right": viewpoint(pair["right"], 0.7, 0, 0), "left": viewpoint(pair["left"], -0.7, 0, 0)}
     colour: dict[str, Any]
@@ -117,9 +105,7 @@ def test_both_eyes_in_one_call_are_those_of_two(
     assert (shown[0][0] != shown[0][1]).any()
 
 
-def test_insets_belong_to_the_camera_that_drew_the_picture(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
+def test_insets_belong_to_the_camera_that_drew_the_picture(compositor: Make, flat_image_headset: Eye) -> None:
     made, seen = compositor(flat_image_headset, resolution=0.5), viewpoint(flat_image_headset)
     frame = made.begin_frame(HEAD, seen)
     located = made.locate_views(NEWER, seen)
@@ -136,7 +122,7 @@ def test_insets_belong_to_the_camera_that_drew_the_picture(
 
 
 def test_pictures_and_cameras_that_do_not_belong_together_are_refused_in_a_sentence(
-    compositor: Callable[..., Any], pair: Mapping[str, Eye]
+    compositor: Make, pair: Mapping[str, Eye]
 ) -> None:
     made, seen = compositor(pair), {eye: viewpoint(model) for eye, model in pair.items()}
     frame = made.begin_frame(HEAD, seen)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from gl_caller import Caller, open_other
 from gl_scenes import at
-from warps.composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
+from warps.composing import CONTEXTS, HEAD, SMALL, Make, draw, planar, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError
@@ -24,19 +24,12 @@ from wlr_render.warp.compositor import Compositor
 TINY = 24, 20
 
 
-@pytest.fixture
-def pair(flat_image_headset: Eye) -> dict[str, Eye]:
-    return {"left": replace(flat_image_headset, eye="left"), "right": flat_image_headset}
-
-
 def scaled(pose: FloatArray, factor: float) -> FloatArray:
     return pose @ np.diag([factor] * 3 + [1.0])
 
 
 @pytest.mark.parametrize("context", CONTEXTS)
-def test_calls_out_of_order_are_told_in_a_sentence(
-    compositor: Callable[..., Any], pair: Mapping[str, Eye], context: str
-) -> None:
+def test_calls_out_of_order_are_told_in_a_sentence(compositor: Make, pair: Mapping[str, Eye], context: str) -> None:
     made = compositor(pair, context=context)
     source, seen = SceneSource(made, scene()), dict.fromkeys(pair, pair["left"].eye_box.centre)
     expected, first = None, True
@@ -69,10 +62,7 @@ def test_calls_out_of_order_are_told_in_a_sentence(
 
 
 @pytest.mark.gl
-def test_faulty_poses_and_viewpoints_leave_the_frame_as_it_was(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
-    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
+def test_faulty_poses_and_viewpoints_leave_the_frame_as_it_was(made: Compositor, seen: FloatArray) -> None:
     draw(made, SceneSource(made, scene()), HEAD, seen)
     expected = made.compose().read()
     away, unfinite = seen + [0.0, 0.02, 0.0], np.where(np.eye(4) > 0, np.nan, HEAD)
@@ -97,7 +87,7 @@ def test_faulty_poses_and_viewpoints_leave_the_frame_as_it_was(
 
 
 @pytest.mark.parametrize("context", CONTEXTS)
-def test_a_released_compositor_says_so(flat_image_headset: Eye, compositor: Callable[..., Any], context: str) -> None:
+def test_a_released_compositor_says_so(flat_image_headset: Eye, compositor: Make, context: str) -> None:
     seen = viewpoint(flat_image_headset)
     made = compositor(flat_image_headset, context=context)
     with made:
@@ -125,7 +115,7 @@ def test_a_released_compositor_says_so(flat_image_headset: Eye, compositor: Call
 
 
 @pytest.mark.gl
-def test_choices_that_are_none_are_told_in_a_sentence(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_choices_that_are_none_are_told_in_a_sentence(compositor: Make, flat_image_headset: Eye) -> None:
     compositor(flat_image_headset)
     given: dict[str, Any] = {"models": flat_image_headset, "size": SMALL, "context": "auto"}
     for options, words in (
@@ -157,9 +147,7 @@ def test_choices_that_are_none_are_told_in_a_sentence(compositor: Callable[..., 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 2), (300, 5)])
 @pytest.mark.gl
-def test_pictures_of_any_size_and_shape(
-    compositor: Callable[..., Any], flat_image_headset: Eye, size: tuple[int, int]
-) -> None:
+def test_pictures_of_any_size_and_shape(compositor: Make, flat_image_headset: Eye, size: tuple[int, int]) -> None:
     made, seen = compositor(flat_image_headset, size), viewpoint(flat_image_headset)
     draw(made, SceneSource(made, scene()), HEAD, seen)
     composed = made.compose(pose_at_last_row=HEAD).read()
@@ -191,7 +179,7 @@ def grown_bytes(run: Callable[..., Any], first: int, middle: int, last: int) -> 
 
 @pytest.mark.gl
 @pytest.mark.slow
-def test_frames_leave_nothing_behind(compositor: Callable[..., Any], gl_context: GlContext) -> None:
+def test_frames_leave_nothing_behind(compositor: Make, gl_context: GlContext) -> None:
     if gl_context.backend != "egl":
         pytest.skip("EGL does not open here, so that there is no other context to adopt.")
     headset, caller = planar(device="birdbath28"), Caller()  # its warp grid is the coarsest
@@ -224,7 +212,7 @@ def test_frames_leave_nothing_behind(compositor: Callable[..., Any], gl_context:
 
 
 def test_the_context_that_is_asked_for_is_used(
-    compositor: Callable[..., Any], flat_image_headset: Eye, gl_context: GlContext
+    compositor: Make, flat_image_headset: Eye, gl_context: GlContext
 ) -> None:
     assert compositor(flat_image_headset, context="auto").renderer == gl_context.renderer
     theirs = open_other(backend=gl_context.backend)
@@ -248,7 +236,7 @@ def test_without_opengl_there_is_no_compositor(flat_image_headset: Eye, monkeypa
 
 @pytest.mark.parametrize("adopted", [False, True])
 def test_after_a_lost_context_a_new_compositor_draws_the_same(
-    compositor: Callable[..., Any], flat_image_headset: Eye, adopted: bool
+    compositor: Make, flat_image_headset: Eye, adopted: bool
 ) -> None:
     def made_anew() -> Compositor:
         own = open_other(410) if adopted else "egl"
@@ -269,7 +257,7 @@ def test_after_a_lost_context_a_new_compositor_draws_the_same(
     np.testing.assert_array_equal(again.compose().read(), before)
 
 
-def test_a_frame_is_itself_alone_and_may_be_a_key(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_a_frame_is_itself_alone_and_may_be_a_key(compositor: Make, flat_image_headset: Eye) -> None:
     made, seen = compositor(flat_image_headset), flat_image_headset.eye_box.centre
     first, second = (made.begin_frame(HEAD, seen) for _ in range(2))
     pending = {first: "first", second: "second"}

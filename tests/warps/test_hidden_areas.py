@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from present import present
 from warping import uploaded, uploaded_field
-from warps.composing import HEAD, planar, viewpoint
+from warps.composing import HEAD, Make, planar, viewpoint
 from warps.test_insets import inset_of
 
 from wlr_render.geometry import transforms
@@ -148,7 +147,7 @@ def with_inset(made: Compositor, camera: EyeCamera) -> None:
 
 @pytest.mark.parametrize("submit", [by_arrays, by_textures, with_inset])
 def test_a_head_that_turns_back_sees_the_last_picture(
-    compositor: Callable[..., Any], submit: Callable[[Compositor, EyeCamera], None]
+    compositor: Make, submit: Callable[[Compositor, EyeCamera], None]
 ) -> None:
     aside, shown = HEAD @ OLDER, []
     for hidden_areas in ("repeated", "last picture"):
@@ -167,7 +166,7 @@ def test_a_head_that_turns_back_sees_the_last_picture(
 
 
 @pytest.fixture
-def shaken(compositor: Callable[..., Any]) -> Callable[..., Compositor]:
+def shaken(compositor: Make) -> Callable[..., Compositor]:
     """Makes a compositor that has the pictures from OLDER and from HEAD, with the last picture or repeated areas."""
 
     def make(hidden_areas: str, submit: Callable[[Compositor, EyeCamera], None] = by_arrays) -> Compositor:
@@ -230,7 +229,7 @@ def test_pictures_of_two_kinds_of_alpha_do_not_mix(shaken: Callable[..., Composi
 
 
 @pytest.mark.parametrize("is_prepared", [True, False])
-def test_depth_bounds_stay_those_of_their_picture(compositor: Callable[..., Any], is_prepared: bool) -> None:
+def test_depth_bounds_stay_those_of_their_picture(compositor: Make, is_prepared: bool) -> None:
     poses = HEAD @ moved(0.01), HEAD @ OLDER, HEAD
 
     def shown(made: Compositor, pose: FloatArray, again: GpuImage | None = None) -> GpuImage:
@@ -260,7 +259,7 @@ def test_depth_bounds_stay_those_of_their_picture(compositor: Callable[..., Any]
     np.testing.assert_array_equal(found, expected.compose(pose=HEAD @ SEEN_FROM).read())
 
 
-def test_a_last_picture_that_was_drawn_over_is_not_shown(compositor: Callable[..., Any]) -> None:
+def test_a_last_picture_that_was_drawn_over_is_not_shown(compositor: Make) -> None:
     made, drawn_over = compositor(planar(), hidden_areas="last picture"), set[str]()
     for pose, name in ((HEAD @ OLDER, "last"), (HEAD, "newest")):
         (camera,) = made.begin_frame(pose, viewpoint(planar())).values()

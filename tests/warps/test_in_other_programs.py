@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from gl_caller import Caller, assert_same, make_current, open_other, run
 from numpy.typing import NDArray
-from warps.composing import HEAD, SMALL, draw, scene, viewpoint
+from warps.composing import HEAD, SMALL, Make, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.gl
 
 
 def own_frame(
-    compositor: Callable[..., Any], models: Eye | Mapping[str, Eye], seen: FloatArray | Mapping[str, FloatArray]
+    compositor: Make, models: Eye | Mapping[str, Eye], seen: FloatArray | Mapping[str, FloatArray]
 ) -> list[NDArray[np.uint8]]:
     """What a compositor in a context of its own composes."""
     made = compositor(models, context="egl")
@@ -35,9 +35,7 @@ def own_frame(
     return [frame.read(eye) for eye in made.eyes]
 
 
-def test_two_eyes_through_odd_state_and_back(
-    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
+def test_two_eyes_through_odd_state_and_back(caller: Caller, compositor: Make, flat_image_headset: Eye) -> None:
     models = {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
     seen = {"left": viewpoint(flat_image_headset, -0.7, 0, 0), "right": viewpoint(flat_image_headset, 0.7, 0, 0)}
     expected = own_frame(compositor, models, seen)
@@ -63,7 +61,7 @@ def test_two_eyes_through_odd_state_and_back(
 
 
 def test_faults_leave_the_state_and_the_next_frame_is_right(
-    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+    caller: Caller, compositor: Make, flat_image_headset: Eye
 ) -> None:
     seen, wrong = viewpoint(flat_image_headset), caller.ctx.simple_framebuffer((3, 4))
     (expected,) = own_frame(compositor, flat_image_headset, seen)
@@ -95,7 +93,7 @@ def test_faults_leave_the_state_and_the_next_frame_is_right(
 
 @pytest.mark.parametrize("host_state", ["kept", "clean"])
 def test_where_the_context_is_not_current_only_a_clean_hosts_work_stops(
-    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye, host_state: str
+    caller: Caller, compositor: Make, flat_image_headset: Eye, host_state: str
 ) -> None:
     third = open_other()
     make_current(caller.ctx)
@@ -147,11 +145,11 @@ def test_a_thread_without_a_chosen_api_makes_a_compositor(caller: Caller, flat_i
 
 
 def test_a_compositor_that_another_thread_uses_is_released_after_its_call(
-    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+    seen: FloatArray, caller: Caller, compositor: Make, flat_image_headset: Eye
 ) -> None:
     before = caller.objects()
     made = compositor(flat_image_headset, context=caller.ctx)
-    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    draw(made, SceneSource(made, scene()), HEAD, seen)
     inside, told = threading.Event(), []
 
     def work() -> None:
@@ -170,7 +168,7 @@ def test_a_compositor_that_another_thread_uses_is_released_after_its_call(
 
 
 def test_another_thread_composes_while_the_host_draws_on_its_own(
-    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+    caller: Caller, compositor: Make, flat_image_headset: Eye
 ) -> None:
     """Asynchronous reprojection: the newest picture is warped to the newest pose, whatever its frame is doing."""
     made = compositor(flat_image_headset, context=caller.ctx)
@@ -199,12 +197,12 @@ def test_another_thread_composes_while_the_host_draws_on_its_own(
 
 
 def test_the_current_context_takes_its_own_programs_objects_and_no_others(
-    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+    seen: FloatArray, caller: Caller, compositor: Make, flat_image_headset: Eye
 ) -> None:
     elsewhere = open_other(410)
     make_current(caller.ctx)
     made = compositor(flat_image_headset, context="current")
-    (camera,) = made.begin_frame(HEAD, viewpoint(flat_image_headset)).values()
+    (camera,) = made.begin_frame(HEAD, seen).values()
     width, height = camera.size_px
     with elsewhere:
         foreign = elsewhere.texture(camera.size_px, 4)
@@ -222,14 +220,14 @@ def test_the_current_context_takes_its_own_programs_objects_and_no_others(
     assert (shown == 128).mean() > 0.9
     elsewhere.release()
     make_current(caller.ctx)
-    made.begin_frame(HEAD, viewpoint(flat_image_headset))
+    made.begin_frame(HEAD, seen)
     with pytest.raises(BadInputError, match="belongs to another ModernGL context"):
         made.submit(foreign, depth)
 
 
 @pytest.mark.parametrize("host_state", ["kept", "clean"])
 def test_adopting_while_samples_or_a_layer_are_bound(
-    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye, host_state: str
+    caller: Caller, compositor: Make, flat_image_headset: Eye, host_state: str
 ) -> None:
     """ModernGL's start makes errors with such a framebuffer, which are no fault of the host."""
     ctx = caller.ctx
@@ -249,23 +247,23 @@ def test_adopting_while_samples_or_a_layer_are_bound(
 
 
 def test_release_where_a_clean_hosts_context_is_not_current_warns_and_can_be_repeated(
-    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+    seen: FloatArray, caller: Caller, compositor: Make, flat_image_headset: Eye
 ) -> None:
     make_current(caller.ctx)
     before = caller.objects()
     made = compositor(flat_image_headset, context=caller.ctx, host_state="clean")
-    made.begin_frame(HEAD, viewpoint(flat_image_headset))
+    made.begin_frame(HEAD, seen)
     third = open_other(410)
     with pytest.warns(RuntimeWarning, match="not current on this thread, so that nothing was released") as told:
         made.release()
     assert told[0].filename == __file__
     third.release()
     make_current(caller.ctx)
-    made.begin_frame(HEAD, viewpoint(flat_image_headset))
+    made.begin_frame(HEAD, seen)
     made.release()
     assert caller.objects() == before
     with pytest.raises(BadInputError, match="has been released"):
-        made.begin_frame(HEAD, viewpoint(flat_image_headset))
+        made.begin_frame(HEAD, seen)
 
 
 def test_what_is_no_context_is_told_in_a_sentence(caller: Caller, flat_image_headset: Eye) -> None:

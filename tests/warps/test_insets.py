@@ -1,6 +1,6 @@
 """Insets: sharp pictures of a part of an eye's field over a wide one, without a seam."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import moderngl
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gl_scenes import at
 from present import narrowed
-from warps.composing import HEAD, clear_of_edges, planar, programs_compiled, scene, traced, viewpoint
+from warps.composing import HEAD, Make, clear_of_edges, planar, programs_compiled, scene, traced, viewpoint
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.draw.ray_tracing import RayRenderer
@@ -35,7 +35,7 @@ CLOSE_PX = 0.1  # the depths of both pictures, and where their rays meet them, a
 
 
 def begun(
-    compositor: Callable[..., Any], model: Eye | Mapping[str, list[Eye]], resolution: float = RESOLUTION, **options: Any
+    compositor: Make, model: Eye | Mapping[str, list[Eye]], resolution: float = RESOLUTION, **options: Any
 ) -> tuple[Compositor, EyeCamera]:
     """A compositor and the camera of its first frame; its pictures are wide, or as sharp as the insets."""
     made = compositor(model, SIZE, resolution=resolution, **options)
@@ -74,9 +74,7 @@ def share_of_inset(frame: ComposedFrame, camera: EyeCamera, inset: EyeCamera) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["one", "three", "rolling"])
-def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(
-    compositor: Callable[..., Any], kind: str
-) -> None:
+def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(compositor: Make, kind: str) -> None:
     model = planar()
     models = {"right": [model] * 3} if kind == "three" else model
     (wide, camera), (sharp, sharp_camera) = (
@@ -123,7 +121,7 @@ def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(
 
 
 @pytest.mark.slow
-def test_edges_are_as_sharp_as_the_insets_depth(compositor: Callable[..., Any]) -> None:
+def test_edges_are_as_sharp_as_the_insets_depth(compositor: Make) -> None:
     model, renderer = planar(), RayRenderer(scene())
     truth = traced(model, SIZE, viewpoint(model), LATER, renderer)
     (wide, camera), (sharp, sharp_camera) = (begun(compositor, model, each * RESOLUTION) for each in (1, SHARPER))
@@ -149,7 +147,7 @@ def test_edges_are_as_sharp_as_the_insets_depth(compositor: Callable[..., Any]) 
 
 
 @pytest.mark.slow
-def test_an_inset_in_an_inset_and_frames_without(compositor: Callable[..., Any]) -> None:
+def test_an_inset_in_an_inset_and_frames_without(compositor: Make) -> None:
     model = planar()
     made, camera = begun(compositor, model, panel=FLOATS)
     middle = inset_of(camera, 0.6, 2)
@@ -173,7 +171,7 @@ def test_an_inset_in_an_inset_and_frames_without(compositor: Callable[..., Any])
     np.testing.assert_array_equal(made.compose(pose=LATER).read(), with_middle)
 
 
-def test_an_inset_without_depth_has_that_of_the_picture_around_it(compositor: Callable[..., Any]) -> None:
+def test_an_inset_without_depth_has_that_of_the_picture_around_it(compositor: Make) -> None:
     made, camera = begun(compositor, planar(), panel=FLOATS)
     inset = inset_of(camera)
     submit(made, camera)
@@ -190,7 +188,7 @@ def test_an_inset_without_depth_has_that_of_the_picture_around_it(compositor: Ca
     assert np.abs(shared - expected).max() < 2 * shift_px * slope + 2**-9
 
 
-def test_an_inset_texture_without_depth_has_no_border(compositor: Callable[..., Any]) -> None:
+def test_an_inset_texture_without_depth_has_no_border(compositor: Make) -> None:
     """The picture around it is linear light, which no sampler for codes may read."""
     made, camera = begun(compositor, planar(), context="egl")
     inset = inset_of(camera)
@@ -205,7 +203,7 @@ def test_an_inset_texture_without_depth_has_no_border(compositor: Callable[..., 
     assert set(np.unique(shown[20:-20, 20:-20])) == {70}
 
 
-def test_insets_of_all_kinds_of_pictures(compositor: Callable[..., Any]) -> None:
+def test_insets_of_all_kinds_of_pictures(compositor: Make) -> None:
     model = planar()
     made, camera = begun(compositor, model)
     light, inverse = picture(inset_of(camera))
@@ -237,7 +235,7 @@ def test_insets_of_all_kinds_of_pictures(compositor: Callable[..., Any]) -> None
         assert np.abs(each - shown["arrays"]).max() <= 1, name
 
 
-def test_alpha_runs_from_one_picture_to_the_other(compositor: Callable[..., Any]) -> None:
+def test_alpha_runs_from_one_picture_to_the_other(compositor: Make) -> None:
     model = planar()
     made, camera = begun(compositor, model, panel=FLOATS)
     inset, alpha = inset_of(camera), StoredColour("linear", alpha=True)
@@ -255,9 +253,7 @@ def test_alpha_runs_from_one_picture_to_the_other(compositor: Callable[..., Any]
         made.submit(rgba, inverse, stored=INVERSE, stored_colour=alpha, camera=inset_of(again))
 
 
-def test_insets_that_cannot_be_are_refused_and_the_frame_stays(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
+def test_insets_that_cannot_be_are_refused_and_the_frame_stays(compositor: Make, flat_image_headset: Eye) -> None:
     model = planar()
     made, camera = begun(compositor, model)
     inset = inset_of(camera)
@@ -309,7 +305,7 @@ def test_insets_that_cannot_be_are_refused_and_the_frame_stays(
         made.submit(light, inverse, stored=INVERSE, stored_colour=LINEAR, camera=newer)
 
 
-def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor: Callable[..., Any]) -> None:
+def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor: Make) -> None:
     model = planar()
     made, camera = begun(compositor, model)
     left, right, up, down = camera.fov_rad
@@ -321,9 +317,7 @@ def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor: Ca
 
 
 @pytest.mark.slow
-def test_prepared_compositors_compile_nothing_for_insets(
-    compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_prepared_compositors_compile_nothing_for_insets(compositor: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     made, camera = begun(compositor, planar(), context="egl")
     made.prepare(overlays=0, insets=True)
     with made.context.drawing() as ctx:

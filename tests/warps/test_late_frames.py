@@ -4,7 +4,6 @@ import ctypes
 import gc
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 from gl_caller import Caller, assert_same
 from gl_scenes import at
-from warps.composing import HEAD, SMALL, draw, planar, programs_compiled, scene, viewpoint
+from warps.composing import HEAD, SMALL, Make, draw, planar, programs_compiled, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render import Compositor
@@ -31,22 +30,12 @@ MOVED = HEAD @ at(0.004, -0.002, 0.003, transforms.rotation_about("y", 0.01))
 
 
 @pytest.fixture
-def pair(flat_image_headset: Eye) -> dict[str, Eye]:
-    return {"left": replace(flat_image_headset, eye="left"), "right": flat_image_headset}
-
-
-@pytest.fixture
-def both(
-    compositor: Callable[..., Any], pair: Mapping[str, Eye]
-) -> tuple[Compositor, SceneSource, dict[str, FloatArray]]:
+def both(compositor: Make, pair: Mapping[str, Eye]) -> tuple[Compositor, SceneSource, dict[str, FloatArray]]:
     made = compositor(pair)
     return made, SceneSource(made, scene()), dict.fromkeys(pair, viewpoint(pair["right"]))
 
 
-def test_a_missed_frame_is_shown_again_at_the_newest_pose(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
-    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
+def test_a_missed_frame_is_shown_again_at_the_newest_pose(made: Compositor, seen: FloatArray) -> None:
     source = SceneSource(made, scene())
     draw(made, source, HEAD, seen)
     late = made.compose(pose=MOVED).read()
@@ -71,9 +60,8 @@ def test_a_frame_says_which_viewpoints_and_pose_it_was_composed_for(
 
 
 def test_frames_may_be_submitted_late_but_not_out_of_order(
-    compositor: Callable[..., Any], flat_image_headset: Eye
+    made: Any, seen: FloatArray, compositor: Make, flat_image_headset: Eye
 ) -> None:
-    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     source = SceneSource(made, scene())
     frames = [made.begin_frame(pose, seen) for pose in (HEAD, HEAD, MOVED, HEAD)]
     assert all(isinstance(frame, FrameHandle) and [*frame] == ["right"] for frame in frames)
@@ -100,8 +88,7 @@ def test_frames_may_be_submitted_late_but_not_out_of_order(
     np.testing.assert_array_equal(made.compose().read(), shown)
 
 
-def test_a_gpu_picture_of_another_pose_is_refused(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
-    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
+def test_a_gpu_picture_of_another_pose_is_refused(made: Compositor, seen: FloatArray) -> None:
     raster = GlRaster(made.context, scene())
     old = raster.draw_on_gpu(made.begin_frame(HEAD, seen)["right"].view)
     made.begin_frame(MOVED, seen)
@@ -113,9 +100,8 @@ def test_a_gpu_picture_of_another_pose_is_refused(compositor: Callable[..., Any]
 
 @pytest.mark.parametrize("materials", ["own", "gltf"])
 def test_a_gpu_picture_that_was_drawn_over_is_not_shown_for_the_old_pose(
-    compositor: Callable[..., Any], flat_image_headset: Eye, materials: str
+    made: Compositor, seen: FloatArray, materials: str
 ) -> None:
-    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     raster, first = SceneRaster(made.context, scene(), materials), made.begin_frame(HEAD, seen)
     made.submit(raster.draw_on_gpu(first["right"].view, "even"))
     shown = made.compose(pose=MOVED).read()
@@ -206,7 +192,7 @@ def test_a_compositor_that_is_not_released_warns(flat_image_headset: Eye, caller
 @pytest.mark.slow
 @pytest.mark.parametrize(("channels", "hidden_areas"), [(3, "repeated"), (1, "last picture")])
 def test_prepared_compositors_compile_nothing_later(
-    compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, channels: int, hidden_areas: str
+    compositor: Make, monkeypatch: pytest.MonkeyPatch, channels: int, hidden_areas: str
 ) -> None:
     made = compositor({"right": [planar()] * channels}, context="egl", hidden_areas=hidden_areas)
     made.prepare()
@@ -232,7 +218,7 @@ def test_prepared_compositors_compile_nothing_later(
 
 @pytest.mark.parametrize(("channels", "is_software"), [(3, True), (1, False)], ids=["drawn", "computed"])
 def test_layers_insets_and_kinds_of_frames_share_their_programs(
-    compositor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, channels: int, is_software: bool
+    compositor: Make, monkeypatch: pytest.MonkeyPatch, channels: int, is_software: bool
 ) -> None:
     monkeypatch.setattr(GlContext, "is_software", is_software)
     compiled = programs_compiled(monkeypatch)
@@ -246,11 +232,8 @@ def test_layers_insets_and_kinds_of_frames_share_their_programs(
     assert len(compiled) == count
 
 
-def test_pictures_are_read_without_waiting_and_stay_as_they_were(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
-    made = compositor(flat_image_headset)
-    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+def test_pictures_are_read_without_waiting_and_stay_as_they_were(made: Compositor, seen: FloatArray) -> None:
+    draw(made, SceneSource(made, scene()), HEAD, seen)
     first = made.compose()
     expected, reading = first.read(), first.read_async()
     second = made.compose(pose=MOVED)
@@ -286,10 +269,10 @@ def test_pictures_are_read_without_waiting_and_stay_as_they_were(
 
 
 def test_reading_back_leaves_an_adopted_context_and_no_fences_behind(
-    caller: Caller, compositor: Callable[..., Any], flat_image_headset: Eye
+    seen: FloatArray, caller: Caller, compositor: Make, flat_image_headset: Eye
 ) -> None:
     made = compositor(flat_image_headset, context=caller.ctx)
-    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    draw(made, SceneSource(made, scene()), HEAD, seen)
     frame = made.compose()
     caller.set_odd_values()
     before, expected = caller.state(), frame.read()
@@ -313,10 +296,9 @@ def test_reading_back_leaves_an_adopted_context_and_no_fences_behind(
 
 
 def test_pictures_on_their_way_share_three_buffers_and_stay_as_they_were(
-    compositor: Callable[..., Any], flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
+    made: Compositor, seen: FloatArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = compositor(flat_image_headset)
-    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    draw(made, SceneSource(made, scene()), HEAD, seen)
     made.compose()  # makes what all frames share
     sizes, buffer = list[int](), moderngl.Context.buffer
 
@@ -342,11 +324,8 @@ def _framebuffer(made: Compositor) -> moderngl.Framebuffer:
         return ctx.simple_framebuffer(SMALL)
 
 
-def test_a_scan_from_the_bottom_turns_the_poses_of_the_rows_round(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
-    made = compositor(flat_image_headset)
-    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+def test_a_scan_from_the_bottom_turns_the_poses_of_the_rows_round(made: Any, seen: FloatArray) -> None:
+    draw(made, SceneSource(made, scene()), HEAD, seen)
     upwards = made.compose(pose=HEAD, pose_at_last_row=MOVED, scan="up").read()
     np.testing.assert_array_equal(made.compose(pose=MOVED, pose_at_last_row=HEAD).read(), upwards)
     assert (made.compose(pose=HEAD, pose_at_last_row=MOVED).read() != upwards).any()
@@ -360,9 +339,7 @@ def moving(time_s: float) -> tuple[FloatArray, FloatArray]:
 
 
 @pytest.mark.parametrize("late_s", [0.004, 0.008, 0.015])
-def test_a_pipelined_engine_is_predicted(
-    compositor: Callable[..., Any], flat_image_headset: Eye, late_s: float
-) -> None:
+def test_a_pipelined_engine_is_predicted(compositor: Make, flat_image_headset: Eye, late_s: float) -> None:
     made, box = compositor(flat_image_headset), flat_image_headset.eye_box
     source, period_s = SceneSource(made, scene()), 0.011
     for k in range(4):
@@ -377,9 +354,7 @@ def test_a_pipelined_engine_is_predicted(
         np.testing.assert_allclose(late.world_from_device, moving(time_s + late_s + 0.005)[0], atol=1e-9)
 
 
-def test_poses_and_pupils_are_predicted_from_the_last_two(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
+def test_poses_and_pupils_are_predicted_from_the_last_two(compositor: Make, flat_image_headset: Eye) -> None:
     made, seen = compositor(flat_image_headset), flat_image_headset.eye_box.centre
     step = np.array([0.0005, 0.0, 0.0])
     half, whole = (HEAD @ at(x, 0, 0, transforms.rotation_about("y", x)) for x in (0.004, 0.008))

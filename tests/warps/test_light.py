@@ -6,12 +6,11 @@ from typing import Any, Literal
 import moderngl
 import numpy as np
 import pytest
-from gl_caller import open_other
 from gl_scenes import at
 from hardware import HALF_FLOAT, allowed, filter_of
 from numpy import floating, number
 from numpy.typing import ArrayLike, NDArray
-from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
+from warps.composing import HEAD, SMALL, Make, draw, planar, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
@@ -34,19 +33,9 @@ HALF_LIGHT = 188  # the sRGB code of linear 0.5
 AWAY = HEAD @ at(0, 0, 0, transforms.rotation_about("y", 0.1))  # a part of the panel sees nothing of the picture
 
 
-@pytest.fixture
-def theirs(gl_context: GlContext) -> Iterator[moderngl.Context]:
-    """A caller's context; `gl_context` skips the test where there is no OpenGL."""
-    made = open_other()
-    yield made
-    made.release()
-
-
-def shown(
-    made: Compositor, model: Eye, picture: Callable[..., Any], pose: FloatArray = HEAD, **stored: Any
-) -> NDArray[Any]:
+def shown(made: Compositor, picture: Callable[..., Any], pose: FloatArray = HEAD, **stored: Any) -> NDArray[Any]:
     """RGBA of a composed picture that is 1 m away, from what `picture(size)` returns."""
-    (camera,) = made.begin_frame(HEAD, viewpoint(model)).values()
+    (camera,) = made.begin_frame(HEAD, viewpoint(made.plan("right").channels[0])).values()
     colour = picture(camera.size_px)
     far = np.ones(camera.size_px[::-1], np.float32)
     depth: NDArray[np.float32] | moderngl.Texture | TextureLayer = far
@@ -70,12 +59,9 @@ def grey(value: float, dtype: type[number]) -> Callable[..., Any]:
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16])
-def test_linear_arrays_are_encoded_on_output(
-    compositor: Callable[..., Any], flat_image_headset: Eye, dtype: type[floating]
-) -> None:
-    made = compositor(flat_image_headset)
-    assert (shown(made, flat_image_headset, grey(0.5, dtype), encoding="linear")[INSIDE][..., :3] == HALF_LIGHT).all()
-    codes = shown(made, flat_image_headset, grey(HALF_LIGHT / 255, dtype))[INSIDE][..., :3]
+def test_linear_arrays_are_encoded_on_output(made: Compositor, dtype: type[floating]) -> None:
+    assert (shown(made, grey(0.5, dtype), encoding="linear")[INSIDE][..., :3] == HALF_LIGHT).all()
+    codes = shown(made, grey(HALF_LIGHT / 255, dtype))[INSIDE][..., :3]
     assert (codes == HALF_LIGHT).all()
 
 
@@ -98,42 +84,38 @@ def textures(
 
 
 @pytest.mark.parametrize("dtype", ["f1", "f2", "f4"])
-def test_linear_textures(compositor: Callable[..., Any], flat_image_headset: Eye, dtype: str) -> None:
-    made = compositor(flat_image_headset)
+def test_linear_textures(made: Compositor, dtype: str) -> None:
     for picture in textures(made, 0.5, dtype):
-        pixels = shown(made, flat_image_headset, picture, encoding="linear")[INSIDE]
+        pixels = shown(made, picture, encoding="linear")[INSIDE]
         assert (pixels == [HALF_LIGHT] * 3 + [255]).all()
 
 
 @pytest.mark.parametrize("encoding", ["srgb", "linear"])
-def test_textures_of_an_srgb_format_hold_codes(
-    compositor: Callable[..., Any], flat_image_headset: Eye, encoding: str
-) -> None:
-    made = compositor(flat_image_headset)
+def test_textures_of_an_srgb_format_hold_codes(made: Compositor, encoding: str) -> None:
     for picture in textures(made, 100 / 255, "f1", SRGB8_ALPHA8):
-        assert (shown(made, flat_image_headset, picture, encoding=encoding)[INSIDE][..., :3] == 100).all()
+        assert (shown(made, picture, encoding=encoding)[INSIDE][..., :3] == 100).all()
 
 
 def test_codes_that_a_driver_decodes_in_any_case_are_taken_as_light(
-    compositor: Callable[..., Any], flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
+    compositor: Make, flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(GlContext, "reads_srgb_codes", False)  # as without GL_EXT_texture_sRGB_decode
     made = compositor(flat_image_headset, context="egl")
     for internal_format in (None, SRGB8_ALPHA8):
         for picture in textures(made, 100 / 255, "f1", internal_format):
-            assert (shown(made, flat_image_headset, picture)[INSIDE][..., :3] == 100).all()
+            assert (shown(made, picture)[INSIDE][..., :3] == 100).all()
 
 
 @pytest.mark.parametrize("bits", [10, 12, 16])
-def test_deep_codes_come_out_as_deep_codes(compositor: Callable[..., Any], flat_image_headset: Eye, bits: int) -> None:
+def test_deep_codes_come_out_as_deep_codes(compositor: Make, flat_image_headset: Eye, bits: int) -> None:
     made = compositor(flat_image_headset, panel=PanelLight(bits=10))
     for code in (1, 37, 500, 813, 1023):
         stored = round(code * ((1 << bits) - 1) / 1023)
-        pixels = shown(made, flat_image_headset, grey(stored, np.uint16), bits=bits)[INSIDE][..., :3]
+        pixels = shown(made, grey(stored, np.uint16), bits=bits)[INSIDE][..., :3]
         assert pixels.dtype == np.uint16
         assert (np.rint(pixels / 65535 * 1023) == code).all()
     for picture in textures(made, 37 / 1023, "f1", RGB10_A2):
-        pixels = shown(made, flat_image_headset, picture, bits=bits)[INSIDE][..., :3]
+        pixels = shown(made, picture, bits=bits)[INSIDE][..., :3]
         assert (np.rint(pixels / 65535 * 1023) == 37).all()
 
 
@@ -142,9 +124,9 @@ def stripes(size: tuple[int, int]) -> Float32Array:
     return np.broadcast_to((1.2 * (np.arange(size[0]) % 2))[:, None], (size[1], size[0], 3)).astype(np.float32)
 
 
-def test_light_is_clipped_on_output_only(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_light_is_clipped_on_output_only(compositor: Make, flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, resolution=2.0)
-    pixels = shown(made, flat_image_headset, stripes, encoding="linear")[INSIDE][..., :3]
+    pixels = shown(made, stripes, encoding="linear")[INSIDE][..., :3]
     assert decode_srgb(pixels).mean() == pytest.approx(0.6, abs=0.01)
 
 
@@ -168,26 +150,26 @@ def inverse_of_table(light: float) -> ArrayLike:
     ],
 )
 def test_codes_of_every_encoding_give_the_light(
-    compositor: Callable[..., Any], flat_image_headset: Eye, encoding: Any, codes_of: Callable[[float], ArrayLike]
+    compositor: Make, flat_image_headset: Eye, encoding: Any, codes_of: Callable[[float], ArrayLike]
 ) -> None:
     made = compositor(flat_image_headset, panel=PanelLight(encoding, bits=16))
     for light in (0.0, 0.003, 0.02, 0.2, 0.5, 0.95, 1.0):
-        pixels = shown(made, flat_image_headset, grey(light, np.float32), encoding="linear")[INSIDE][..., :3]
+        pixels = shown(made, grey(light, np.float32), encoding="linear")[INSIDE][..., :3]
         # Light is stored in half floats, which a texture filter may round down; codes grow no faster than light.
         of_filter = allowed(made.context, 0.0, 2 * HALF_FLOAT)
         np.testing.assert_allclose(pixels, np.broadcast_to(codes_of(light), pixels.shape), of_filter, 2**-11 + 1e-4)
 
 
-def test_linear_half_floats_keep_more_than_white(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_linear_half_floats_keep_more_than_white(compositor: Make, flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, panel=PanelLight("linear", bits=16))
-    pixels = shown(made, flat_image_headset, grey(3.5, np.float32), encoding="linear")[INSIDE][..., :3]
+    pixels = shown(made, grey(3.5, np.float32), encoding="linear")[INSIDE][..., :3]
     assert pixels.dtype == np.float16
     assert (pixels == 3.5).all()
 
 
 @pytest.mark.parametrize(("encoding", "per_primary"), [("linear", True), (table(), False)])
 def test_uniformity_multiplies_the_light(
-    compositor: Callable[..., Any], flat_image_headset: Eye, per_primary: bool, encoding: FloatArray | Literal["linear"]
+    compositor: Make, flat_image_headset: Eye, per_primary: bool, encoding: FloatArray | Literal["linear"]
 ) -> None:
     shape = (*SMALL[::-1], 3) if per_primary else SMALL[::-1]
     factors = np.random.default_rng(0).uniform(0.2, 1, shape)
@@ -196,7 +178,7 @@ def test_uniformity_multiplies_the_light(
     if not isinstance(encoding, str):
         codes = np.linspace(0, 1, 256)
         light = np.stack([np.interp(light[..., k], encoding[:, k], codes) for k in range(3)], axis=-1)
-    pixels = shown(made, flat_image_headset, grey(0.8, np.float32), encoding="linear")[..., :3]
+    pixels = shown(made, grey(0.8, np.float32), encoding="linear")[..., :3]
     # The factors are a texture, read at a place between the vertices of the warp grid.
     filtered = filter_of(light)[INSIDE]
     assert (np.abs(pixels[INSIDE] - light[INSIDE]) <= allowed(made.context, 1e-3, filtered)).all()
@@ -210,11 +192,11 @@ def test_uniformity_multiplies_the_light(
 
 
 def test_a_texture_made_between_frames_does_not_take_the_maps_place(
-    compositor: Callable[..., Any], flat_image_headset: Eye, theirs: moderngl.Context
+    compositor: Make, flat_image_headset: Eye, theirs: moderngl.Context
 ) -> None:
     factors = np.random.default_rng(0).uniform(0.2, 1, SMALL[::-1])
     made = compositor(flat_image_headset, context=theirs, panel=PanelLight(table(), factors))
-    expected = shown(made, flat_image_headset, grey(99, np.uint8))[..., :3]
+    expected = shown(made, grey(99, np.uint8))[..., :3]
     with made.context.drawing():
         made.compose()
         other = made.context.target(SMALL, 4, "f1")
@@ -224,9 +206,7 @@ def test_a_texture_made_between_frames_does_not_take_the_maps_place(
 
 
 @pytest.mark.parametrize("kind", ["planar", "flat image"])
-def test_each_primary_shows_what_its_sub_pixel_sees(
-    compositor: Callable[..., Any], flat_image_headset: Eye, kind: str
-) -> None:
+def test_each_primary_shows_what_its_sub_pixel_sees(compositor: Make, flat_image_headset: Eye, kind: str) -> None:
     model = planar() if kind == "planar" else flat_image_headset
     offsets = np.array([[-1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
     plain, shifted = (compositor(model, panel=panel) for panel in (PanelLight(), PanelLight(sub_pixel_px=offsets)))
@@ -252,39 +232,36 @@ def premultiplied(size: tuple[int, int]) -> Float32Array:
     return np.full((size[1], size[0], 4), 0.25, np.float32)
 
 
-def test_alpha_comes_out_filtered_and_0_beside_the_picture(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
+def test_alpha_comes_out_filtered_and_0_beside_the_picture(compositor: Make, flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, panel=PanelLight("linear"))
-    pixels = shown(made, flat_image_headset, premultiplied, encoding="linear", alpha=True)
+    pixels = shown(made, premultiplied, encoding="linear", alpha=True)
     assert (pixels[INSIDE] == 64).all()
     half = shown(
         made,
-        flat_image_headset,
         lambda size: premultiplied(size) * (np.arange(size[0], dtype=np.float32) % 2)[:, None],
         encoding="linear",
         alpha=True,
     )
     np.testing.assert_array_equal(half[..., 3], half[..., 0])
     assert (half[INSIDE][..., 3] < 60).mean() > 0.3
-    away = shown(made, flat_image_headset, premultiplied, AWAY, encoding="linear", alpha=True)
+    away = shown(made, premultiplied, AWAY, encoding="linear", alpha=True)
     assert {0, 64} <= set(np.unique(away[..., 3]))
-    opaque = shown(made, flat_image_headset, premultiplied, AWAY, encoding="linear")
+    opaque = shown(made, premultiplied, AWAY, encoding="linear")
     assert (opaque[..., 3] == 255).all()
 
 
-def test_alpha_of_bytes(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_alpha_of_bytes(compositor: Make, flat_image_headset: Eye) -> None:
     made = compositor([flat_image_headset] * 3)
     picture = np.array([10, 20, 30, 77], np.uint8)
     for alpha, expected in ((True, 77), (False, 255)):
-        pixels = shown(made, flat_image_headset, lambda size: np.tile(picture, (*size[::-1], 1)), alpha=alpha)
+        pixels = shown(made, lambda size: np.tile(picture, (*size[::-1], 1)), alpha=alpha)
         assert (pixels[INSIDE] == [10, 20, 30, expected]).all()
 
 
-def test_eyes_have_their_own_panels(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_eyes_have_their_own_panels(compositor: Make, flat_image_headset: Eye) -> None:
     dim = PanelLight(uniformity=np.full(SMALL[::-1], 0.5))
     made = compositor({"right": flat_image_headset}, panel={"right": dim, "left": PanelLight()})
-    assert (shown(made, flat_image_headset, grey(255, np.uint8))[INSIDE][..., :3] == HALF_LIGHT).all()
+    assert (shown(made, grey(255, np.uint8))[INSIDE][..., :3] == HALF_LIGHT).all()
 
 
 NOT_FINITE = np.full((4, 3), np.nan)
@@ -315,7 +292,7 @@ def test_panels_that_cannot_be_are_refused(settings: dict[str, Any], words: str)
     assert "\n" not in str(told.value)
 
 
-def test_panels_of_another_size_are_refused(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_panels_of_another_size_are_refused(compositor: Make, flat_image_headset: Eye) -> None:
     for panel, words in (
         (PanelLight(uniformity=np.ones(SMALL)), "has 60 x 72 pixels, and its picture 72 x 60"),
         ("srgb", "panel of the right eye is 'srgb'; give a PanelLight"),
@@ -346,11 +323,10 @@ def test_colours_that_cannot_be_are_refused(settings: Mapping[str, Any], words: 
     ],
 )
 def test_pictures_of_other_colours_are_refused_and_change_nothing(
-    compositor: Callable[..., Any], flat_image_headset: Eye, colour: NDArray[Any], stored: StoredColour, words: str
+    made: Compositor, seen: FloatArray, colour: NDArray[Any], stored: StoredColour, words: str
 ) -> None:
-    made = compositor(flat_image_headset)
-    before = shown(made, flat_image_headset, grey(99, np.uint8))
-    (camera,) = made.begin_frame(HEAD, viewpoint(flat_image_headset)).values()
+    before = shown(made, grey(99, np.uint8))
+    (camera,) = made.begin_frame(HEAD, seen).values()
     given = np.broadcast_to(colour, (*camera.size_px[::-1], 3))
     with pytest.raises(BadInputError, match=words):
         made.submit(given, np.ones(camera.size_px[::-1], np.float32), stored_colour=stored)

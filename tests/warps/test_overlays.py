@@ -1,6 +1,5 @@
 """Overlays lie where the exact rays meet their quad, and are composited in linear light."""
 
-from collections.abc import Callable
 from typing import Any
 
 import moderngl
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from gl_scenes import at
 from numpy.typing import NDArray
-from warps.composing import HEAD, SMALL, planar, scene, traced, viewpoint
+from warps.composing import HEAD, SMALL, Make, planar, scene, traced, viewpoint
 
 from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.errors import BadInputError
@@ -30,9 +29,9 @@ SIZE_M = 0.3, 0.2
 INSIDE = slice(3, -3), slice(3, -3)
 
 
-def behind(made: Compositor, model: Eye, light: float = 0.0) -> None:
+def behind(made: Compositor, light: float = 0.0) -> None:
     """Submit a picture of one light at 1 m."""
-    (camera,) = made.begin_frame(HEAD, viewpoint(model)).values()
+    (camera,) = made.begin_frame(HEAD, viewpoint(made.plan("right").channels[0])).values()
     shape = camera.size_px[::-1]
     made.submit(
         np.full((*shape, 3), light, np.float32), np.ones(shape, np.float32), stored_colour=StoredColour("linear")
@@ -56,7 +55,7 @@ def exact_places(model: Eye, pose: FloatArray, world_from_quad: FloatArray) -> F
 
 
 def test_an_overlay_takes_no_memory_for_a_depth(
-    compositor: Callable[..., Any], flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
+    compositor: Make, flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made, formats, make = compositor(flat_image_headset), [], moderngl.Context.texture
     picture = np.full((30, 50, 4), 99, np.uint8)
@@ -78,11 +77,11 @@ def test_an_overlay_takes_no_memory_for_a_depth(
 @pytest.mark.parametrize("kind", ["planar", "flat image", "three"])
 @pytest.mark.parametrize("is_head_locked", [False, True])
 def test_a_quad_lies_where_the_traced_rays_meet_it(
-    compositor: Callable[..., Any], flat_image_headset: Eye, kind: str, is_head_locked: bool
+    compositor: Make, flat_image_headset: Eye, kind: str, is_head_locked: bool
 ) -> None:
     model = planar() if kind == "planar" else flat_image_headset
     made = compositor({"right": [model] * 3} if kind == "three" else model, panel=FLOATS)
-    behind(made, model)
+    behind(made)
     given = {"device_from_quad": QUAD} if is_head_locked else {"world_from_quad": HEAD @ QUAD}
     made.submit_overlay(places(), SIZE_M, stored_colour=LINEAR, **given)
     shown = made.compose(pose=LATER).read().astype(np.float64)
@@ -98,9 +97,9 @@ def test_a_quad_lies_where_the_traced_rays_meet_it(
 
 
 def composited(
-    made: Compositor, model: Eye, light: float, picture: Float32Array | NDArray[np.uint8], **given: Any
+    made: Compositor, light: float, picture: Float32Array | NDArray[np.uint8], **given: Any
 ) -> NDArray[np.float16]:
-    behind(made, model, light)
+    behind(made, light)
     made.submit_overlay(picture, (5.0, 5.0), device_from_quad=at(0, 0, -1), **given)
     frame = made.compose()
     pixels = np.empty((*SMALL[::-1], 4), np.float16)
@@ -108,23 +107,21 @@ def composited(
     return pixels[INSIDE]
 
 
-def test_light_is_added_over_what_alpha_lets_through(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_light_is_added_over_what_alpha_lets_through(compositor: Make, flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, panel=FLOATS)
     over = np.full((9, 9, 4), (0.5, 0.25, 0.0, 0.25), np.float32)
     expected = [0.5 + 0.75 * 0.4, 0.25 + 0.75 * 0.4, 0.75 * 0.4, 1.0]
-    shown = composited(made, flat_image_headset, 0.4, over, stored_colour=LINEAR)
+    shown = composited(made, 0.4, over, stored_colour=LINEAR)
     np.testing.assert_allclose(shown, np.broadcast_to(expected, shown.shape), atol=1e-3)
     codes = np.full((9, 9, 4), (188, 0, 255, 128), np.uint8)
-    shown = composited(made, flat_image_headset, 0.4, codes)
+    shown = composited(made, 0.4, codes)
     rest = 0.4 * (1 - 128 / 255)
     np.testing.assert_allclose(shown, np.broadcast_to([0.5029 + rest, rest, 1 + rest, 1], shown.shape), atol=2e-3)
 
 
-def test_overlays_are_composited_in_the_order_of_their_layers(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
+def test_overlays_are_composited_in_the_order_of_their_layers(compositor: Make, flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, panel=FLOATS)
-    behind(made, flat_image_headset, 0.4)
+    behind(made, 0.4)
     colours = np.array([[0.2, 0.0, 0.1, 0.3], [0.0, 0.3, 0.1, 0.6], [0.1, 0.1, 0.0, 0.25], [0.05, 0.0, 0.2, 0.5]])
     expected, quad = np.array([0.4, 0.4, 0.4, 1.0]), {"device_from_quad": at(0, 0, -1), "stored_colour": LINEAR}
 
@@ -146,10 +143,10 @@ def test_overlays_are_composited_in_the_order_of_their_layers(
     np.testing.assert_allclose(shown(), np.broadcast_to(expected, shown().shape), atol=1e-3)
 
 
-def test_layers_lie_at_their_own_places(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_layers_lie_at_their_own_places(compositor: Make, flat_image_headset: Eye) -> None:
     model = flat_image_headset
     made = compositor(model, panel=FLOATS)
-    behind(made, model)
+    behind(made)
     other = at(-0.03, 0.01, -0.6, transforms.rotation_about("y", -0.3))
     alone = []
     for layer, quad in ((0, QUAD), (2, other)):
@@ -164,17 +161,17 @@ def test_layers_lie_at_their_own_places(compositor: Callable[..., Any], flat_ima
     np.testing.assert_allclose(both, alone[1] + (1 - covers) * alone[0], atol=2e-3)
 
 
-def test_fine_stripes_keep_their_light(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_fine_stripes_keep_their_light(compositor: Make, flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, panel=FLOATS)
     stripes = np.ones((512, 4096, 4), np.float32)
     stripes[:, ::2, :3] = 0
-    shown = composited(made, flat_image_headset, 0.0, stripes, stored_colour=LINEAR)
+    shown = composited(made, 0.0, stripes, stored_colour=LINEAR)
     np.testing.assert_allclose(shown[..., :3], 0.5, atol=0.01)
 
 
-def test_textures_arrays_and_rows(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
+def test_textures_arrays_and_rows(compositor: Make, flat_image_headset: Eye) -> None:
     made = compositor(flat_image_headset, panel=FLOATS)
-    behind(made, flat_image_headset)
+    behind(made)
     made.submit_overlay(places(), SIZE_M, device_from_quad=QUAD, stored_colour=LINEAR)
     expected = made.compose().read()
     with made.context.drawing() as ctx:
@@ -194,19 +191,16 @@ def test_textures_arrays_and_rows(compositor: Callable[..., Any], flat_image_hea
     assert not made.compose().read().any()
 
 
-def test_a_quad_that_is_seen_from_behind_is_not_shown(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
-    made = compositor(flat_image_headset)
-    behind(made, flat_image_headset)
+def test_a_quad_that_is_seen_from_behind_is_not_shown(made: Compositor) -> None:
+    behind(made)
     for pose in (at(0, 0, -1, transforms.rotation_about("y", np.pi)), at(0, 0, 1)):
         made.submit_overlay(places(), SIZE_M, device_from_quad=pose, stored_colour=LINEAR)
         assert not made.compose().read().any()
 
 
-def test_overlays_that_cannot_be_are_refused_and_the_last_stays(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
+def test_overlays_that_cannot_be_are_refused_and_the_last_stays(compositor: Make, flat_image_headset: Eye) -> None:
     made, menu = compositor(flat_image_headset), np.zeros((4, 4, 4), np.uint8)
-    behind(made, flat_image_headset)
+    behind(made)
     made.submit_overlay(places(), SIZE_M, device_from_quad=QUAD, stored_colour=LINEAR)
     expected = made.compose().read()
     wrong: tuple[tuple[Any, dict[str, Any], str], ...] = (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gl_caller import make_current, open_other
 from numpy.typing import NDArray
-from warps.composing import HEAD, SMALL, scene, viewpoint
+from warps.composing import HEAD, SMALL, Make, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
@@ -106,7 +106,7 @@ def in_thread(work: Callable[..., Any]) -> BadInputError | NDArray[np.uint8]:
 
 
 def test_another_thread_composes_the_same_picture(
-    gl_context: GlContext, compositor: Callable[..., Any], flat_image_headset: Eye
+    gl_context: GlContext, compositor: Make, flat_image_headset: Eye
 ) -> None:
     made = compositor(flat_image_headset, context=gl_context.backend)
     source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
@@ -123,7 +123,7 @@ def test_another_thread_composes_the_same_picture(
 
 
 def test_a_thread_that_does_not_end_its_block_is_told_in_a_sentence(
-    gl_context: GlContext, compositor: Callable[..., Any], flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
+    gl_context: GlContext, compositor: Make, flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ownership, "_WAIT_S", 0.05)
     made = compositor(flat_image_headset, context=gl_context.backend)
@@ -135,7 +135,7 @@ def test_a_thread_that_does_not_end_its_block_is_told_in_a_sentence(
 
 
 def test_a_thread_reads_its_own_frames_or_is_told(
-    gl_context: GlContext, compositor: Callable[..., Any], flat_image_headset: Eye
+    gl_context: GlContext, compositor: Make, flat_image_headset: Eye
 ) -> None:
     """While another thread composes for another pose."""
     made = compositor(flat_image_headset, context=gl_context.backend)
@@ -164,7 +164,7 @@ def test_a_thread_reads_its_own_frames_or_is_told(
 
 
 def test_a_context_held_by_another_thread_is_refused_in_a_sentence(
-    engine: Engine, compositor: Callable[..., Any], flat_image_headset: Eye
+    engine: Engine, compositor: Make, flat_image_headset: Eye
 ) -> None:
     made = compositor(flat_image_headset, context="egl")
     vars(made.context)["_ctx"].__enter__()

@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 import pytest
 from gl_scenes import OFF_CENTRE as CAMERA
-from warps.composing import HEAD, planar, viewpoint
+from warps.composing import HEAD, Make, planar, viewpoint
 
 from benchmarks.submission.gl_calls import GlCalls
 from wlr_render.draw.gl_raster import NEAR_M, GlRaster
@@ -16,7 +16,6 @@ from wlr_render.errors import BadInputError
 from wlr_render.gl.context import GlContext
 from wlr_render.gl.framebuffers import TextureLayer
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.picture_import import PictureImport
 from wlr_render.warp.stored_picture import DepthKind, Rows, StoredDepth
@@ -180,7 +179,7 @@ def test_a_framebuffer_with_any_depth_is_copied(gl_context: GlContext, take: Pic
         assert_halves(take.from_framebuffer(CAMERA, theirs.glo, WINDOW).read())
 
 
-def test_textures_are_read_in_place(compositor: Callable[..., Compositor]) -> None:
+def test_textures_are_read_in_place(compositor: Make) -> None:
     """A framebuffer's, by name, in a rectangle, and in layers of arrays; renderbuffers are copied."""
     calls, shown = GlCalls(), []
     with calls.counted():

@@ -1,8 +1,7 @@
 """Pictures in layers, mip levels and samples of textures, by ModernGL's objects or OpenGL's names."""
 
 import ctypes
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import moderngl
 import numpy as np
@@ -16,6 +15,7 @@ from wlr_render.gl.context import GlContext
 from wlr_render.gl.framebuffers import TextureLayer
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import Float32Array
+from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.gpu_image import GpuImage
 from wlr_render.warp.picture_import import PictureImport
 from wlr_render.warp.stored_picture import CODES, DepthKind, StoredColour, StoredDepth
@@ -175,9 +175,8 @@ def test_floats_keep_more_than_bytes(gl_context: GlContext, take: PictureImport)
 
 
 def test_a_texture_that_died_is_told_and_the_last_picture_stays(
-    gl_context: GlContext, compositor: Callable[..., Any], flat_image_headset: Eye
+    made: Compositor, gl_context: GlContext, flat_image_headset: Eye
 ) -> None:
-    made = compositor(flat_image_headset)
     seen = flat_image_headset.eye_box.centre
     (camera,) = made.begin_frame(np.eye(4), seen).values()
     with gl_context.drawing() as ctx:

@@ -6,18 +6,13 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from warps.composing import HEAD, SMALL, draw, planar, scene, viewpoint
+from warps.composing import HEAD, SMALL, Make, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult, Status
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.composed_frame import ComposedFrame
 from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
-
-
-@pytest.fixture(params=["planar", "flat image"])
-def headset(request: pytest.FixtureRequest, flat_image_headset: Eye) -> Eye:
-    return planar() if request.param == "planar" else flat_image_headset
 
 
 @pytest.fixture
@@ -45,7 +40,7 @@ def slope_offset(frame: ComposedFrame) -> FloatArray:
 
 @pytest.mark.slow
 @pytest.mark.gl
-def test_a_resting_pupil_is_solved_once(compositor: Callable[..., Any], headset: Eye, solved_at: list[object]) -> None:
+def test_a_resting_pupil_is_solved_once(compositor: Make, headset: Eye, solved_at: list[object]) -> None:
     made = compositor(headset)
     source, seen = SceneSource(made, scene()), viewpoint(headset)
     del solved_at[:]
@@ -65,10 +60,10 @@ def test_a_resting_pupil_is_solved_once(compositor: Callable[..., Any], headset:
 
 @pytest.mark.gl
 def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(
-    compositor: Callable[..., Any], flat_image_headset: Eye
+    seen: FloatArray, compositor: Make, flat_image_headset: Eye
 ) -> None:
     made, cold = (compositor(flat_image_headset) for _ in range(2))
-    tracked, pose = viewpoint(flat_image_headset), HEAD.copy()
+    tracked, pose = seen, HEAD.copy()
     source = SceneSource(made, scene())
     draw(made, source, pose, tracked)
     before = made.compose().read()
@@ -103,7 +98,7 @@ def troubled(flat_image_headset: Eye) -> Eye:
 
 
 @pytest.mark.gl
-def test_what_did_not_converge_is_named_counted_and_left_black(compositor: Callable[..., Any], troubled: Eye) -> None:
+def test_what_did_not_converge_is_named_counted_and_left_black(compositor: Make, troubled: Eye) -> None:
     made = compositor(troubled, background=(9, 8, 7))
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(troubled))
     frame = made.compose()
@@ -120,9 +115,7 @@ def test_what_did_not_converge_is_named_counted_and_left_black(compositor: Calla
 
 
 @pytest.mark.gl
-def test_a_pupil_for_which_nothing_converges_keeps_the_last_map_and_is_counted(
-    compositor: Callable[..., Any], troubled: Eye
-) -> None:
+def test_a_pupil_for_which_nothing_converges_keeps_the_last_map_and_is_counted(compositor: Make, troubled: Eye) -> None:
     made = compositor(troubled)
     source, seen = SceneSource(made, scene()), viewpoint(troubled)
     draw(made, source, HEAD, seen)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gl_scenes import at
 from numpy.typing import NDArray
-from warps.composing import HEAD, draw, scene, viewpoint
+from warps.composing import HEAD, Make, draw, scene, viewpoint
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.draw.gl_raster import GlRaster
@@ -17,6 +17,7 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.gl.context import GlContext
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.stored_picture import DepthKind, Rows, StoredDepth
 
 INVERSE = StoredDepth(DepthKind.INVERSE)
@@ -55,9 +56,8 @@ def bad_arrays(size: tuple[int, int]) -> tuple[tuple[tuple[Any, ...], str], ...]
 
 @pytest.mark.gl
 def test_a_picture_that_is_none_is_told_in_a_sentence_and_the_right_one_is_taken_then(
-    compositor: Callable[..., Any], flat_image_headset: Eye
+    made: Compositor, flat_image_headset: Eye
 ) -> None:
-    made = compositor(flat_image_headset)
     source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
     (camera,) = draw(made, source, HEAD, seen).values()
     expected = made.compose().read()
@@ -72,7 +72,7 @@ def test_a_picture_that_is_none_is_told_in_a_sentence_and_the_right_one_is_taken
 
 @pytest.mark.gl
 def test_a_gpu_picture_of_elsewhere_is_told_in_a_sentence(
-    compositor: Callable[..., Any], flat_image_headset: Eye, gl_context: GlContext
+    compositor: Make, flat_image_headset: Eye, gl_context: GlContext
 ) -> None:
     made = compositor(flat_image_headset, context="egl")
     seen, raster = viewpoint(flat_image_headset), GlRaster(made.context, scene())
@@ -101,9 +101,7 @@ def test_a_gpu_picture_of_elsewhere_is_told_in_a_sentence(
 
 
 @pytest.mark.gl
-def test_a_picture_that_overwrote_the_other_eyes_is_refused(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
+def test_a_picture_that_overwrote_the_other_eyes_is_refused(compositor: Make, flat_image_headset: Eye) -> None:
     models = {"left": replace(flat_image_headset, eye="left"), "right": flat_image_headset}
     made, seen = compositor(models, context="egl"), viewpoint(flat_image_headset)
     raster = GlRaster(made.context, scene())
@@ -116,10 +114,7 @@ def test_a_picture_that_overwrote_the_other_eyes_is_refused(
 
 
 @pytest.mark.gl
-def test_an_engine_may_write_over_what_it_has_submitted(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
-    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
+def test_an_engine_may_write_over_what_it_has_submitted(made: Compositor, seen: FloatArray) -> None:
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
     color, depth = np.full((*shape, 3), 90, np.uint8), np.full(shape, 2.0, np.float32)
@@ -129,8 +124,7 @@ def test_an_engine_may_write_over_what_it_has_submitted(
 
 
 @pytest.mark.gl
-def test_words_do_not_stand_for_kinds_and_rows(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
-    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
+def test_words_do_not_stand_for_kinds_and_rows(made: Compositor, seen: FloatArray) -> None:
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
     given = np.zeros((*shape, 3), np.uint8), np.ones(shape, np.float32)
@@ -150,9 +144,8 @@ def test_words_do_not_stand_for_kinds_and_rows(compositor: Callable[..., Any], f
 @pytest.mark.gl
 @pytest.mark.parametrize("stored", [StoredDepth(), INVERSE, WINDOW, REVERSED], ids=lambda stored: stored.kind.name)
 def test_a_depth_that_is_no_number_is_background_and_changes_only_its_neighbourhood(
-    compositor: Callable[..., Any], flat_image_headset: Eye, stored: StoredDepth
+    made: Compositor, seen: FloatArray, stored: StoredDepth
 ) -> None:
-    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     source = SceneSource(made, scene())
     (camera,) = draw(made, source, HEAD, seen).values()
     image = source.read(camera.view)
@@ -184,8 +177,7 @@ def test_a_depth_that_is_no_number_is_background_and_changes_only_its_neighbourh
 
 
 @pytest.mark.gl
-def test_depths_that_are_no_distance_are_refused(compositor: Callable[..., Any], flat_image_headset: Eye) -> None:
-    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
+def test_depths_that_are_no_distance_are_refused(made: Compositor, seen: FloatArray) -> None:
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
     for stored, sound, values in (
@@ -212,9 +204,7 @@ def test_depths_that_are_no_distance_are_refused(compositor: Callable[..., Any],
 
 
 @pytest.mark.gl
-def test_depths_in_textures_that_are_no_distance_are_background(
-    compositor: Callable[..., Any], flat_image_headset: Eye
-) -> None:
+def test_depths_in_textures_that_are_no_distance_are_background(compositor: Make, flat_image_headset: Eye) -> None:
     made, seen = compositor(flat_image_headset, context="egl"), viewpoint(flat_image_headset)
     source = SceneSource(made, scene())
     (camera,) = draw(made, source, HEAD, seen).values()
@@ -246,7 +236,7 @@ def test_depths_in_textures_that_are_no_distance_are_background(
 @pytest.mark.gl
 @pytest.mark.parametrize("on_gpu", [False, True])
 def test_pull_maps_of_colours_are_those_of_their_own_picture(
-    compositor: Callable[..., Any], flat_image_headset: Eye, on_gpu: bool
+    compositor: Make, flat_image_headset: Eye, on_gpu: bool
 ) -> None:
     made = compositor({"right": [flat_image_headset] * 3})
     source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)

@@ -2,7 +2,7 @@
 
 import shutil
 import subprocess
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import gl_scenes
 import moderngl
 import numpy as np
 import pytest
-from warps.composing import HEAD, SMALL, planar, scene, viewpoint
+from warps.composing import HEAD, SMALL, Make, planar, scene, viewpoint
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.io.atomic_files import resource
@@ -39,7 +39,7 @@ def sources(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     return compiled
 
 
-def compose_all_kinds(compositor: Callable[..., Any]) -> None:
+def compose_all_kinds(compositor: Make) -> None:
     """Compose pictures of all kinds, with three colours, an overlay, an inset and a uniformity map, and a scene."""
     model, light = planar(), PanelLight(uniformity=np.full(SMALL[::-1], 0.5), bits=10)
     given = compositor({"right": [model] * 3}, resolution=0.5, panel=light, context="egl")
@@ -58,7 +58,7 @@ def compose_all_kinds(compositor: Callable[..., Any]) -> None:
 @pytest.mark.slow
 @pytest.mark.gl
 def test_the_reference_compiler_accepts_every_shader(
-    compositor: Callable[..., Any], sources: Mapping[str, str], tmp_path: Path
+    compositor: Make, sources: Mapping[str, str], tmp_path: Path
 ) -> None:
     compiler = shutil.which("glslangValidator")
     if compiler is None:
