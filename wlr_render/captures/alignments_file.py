@@ -25,8 +25,8 @@ class Alignments:
         panel: the panel.
         eye_box: the region that contains the eye; its position within the region is unknown.
         pixel: (n, 2) pixels.
-        point: (n, 3) the real point that each covered.
-        time_s: (n,) times, rising; None where they are not recorded.
+        point: (n, 3) real point that each pixel covered.
+        time_s: (n,) increasing times; None if not recorded.
     """
 
     path: Path
@@ -39,7 +39,7 @@ class Alignments:
     time_s: FloatArray | None = None
 
     def select(self, rows: BoolArray) -> "Alignments":
-        """Return the alignments of some rows, by mask (n,)."""
+        """Return the alignments selected by a mask (n,)."""
         time_s = None if self.time_s is None else self.time_s[rows]
         return replace(self, pixel=self.pixel[rows], point=self.point[rows], time_s=time_s)
 

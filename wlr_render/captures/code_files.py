@@ -316,7 +316,7 @@ def _numbered_places(paths: Sequence[Path], count: int) -> Sequence[int]:
 
 
 def _exposure_folders(folder: Path) -> list[Path]:
-    """Return the subfolders with photographs of a folder that has none itself, sorted by name."""
+    """Return the subfolders with photographs, sorted by name; none if the folder itself has photographs."""
     if not folder.is_dir() or any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
         return []
     return sorted(

@@ -148,7 +148,7 @@ class Captures:
         return replace(self, display=display)
 
     def of_device(self, name: str) -> "Captures":
-        """Return the captures under another name of their device."""
+        """Return the captures with another name of the device."""
         display = None if self.display is None else replace(self.display, device=name)
         see_through = None if self.see_through is None else replace(self.see_through, device=name)
         return replace(self, display=display, see_through=see_through)

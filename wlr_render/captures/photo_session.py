@@ -130,8 +130,7 @@ class StageAxis:
     Attributes:
         kind: "linear" or "rotary".
         direction: (3,) unit vector of travel, or of right-handed rotation; None if unknown.
-        direction_sigma: standard deviation of `direction` about each perpendicular axis, radians; None if the
-            direction is unknown, or stated without one.
+        direction_sigma: standard deviation of `direction` about each perpendicular axis, radians; None if not stated.
         pivot: (3,) a point on a rotary axis at the stage's reference, metres; None if unknown.
         is_in_camera: True if direction and pivot are in the frame of the eyeball camera in its first mounting, at the
             stage's reference; otherwise they are in the device frame.
@@ -263,7 +262,7 @@ class SessionPanel:
     """The panel of an eye.
 
     Attributes:
-        pattern: pattern that it showed.
+        pattern: pattern that the panel showed.
         primary_offsets: channel -> (2,) position of that primary in the pixel relative to the pixel's centre, pixels.
     """
 

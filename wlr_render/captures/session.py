@@ -70,7 +70,7 @@ class SeeThroughPlan(StagePlan):
         target_pose: (n,) index of the target's pose; captures count from 0 for every pose of the target.
         dot: (n, 2) position of the dot on the printed target, metres.
         bare_pixel: (n, 2) pixels of the dots for the same camera at the same position without the headset; None if not
-            photographed. A dot is assumed to lie on that pixel's ray, at its distance from the tracked pose.
+            photographed. A dot is assumed to lie on this pixel's ray, at the distance given by the tracked pose.
         height: (n,) height of the dot above the plane of the target, metres; None for a flat target.
     """
 

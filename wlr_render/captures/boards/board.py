@@ -72,7 +72,7 @@ class BoardObservation:
     discs: Discs | None = None
 
     def only(self, rows: NDArray[np.bool_]) -> "BoardObservation":
-        """Return the features of a mask (n,)."""
+        """Return the features selected by a mask (n,)."""
         discs = None if self.discs is None else self.discs.only(rows)
         return replace(self, index=self.index[rows], pixel=self.pixel[rows], sigma_px=self.sigma_px[rows], discs=discs)
 
@@ -167,8 +167,8 @@ class Board(ABC):
             name: name of the photograph, for the error.
 
         Raises:
-            BoardNotFoundError: the board is not in the picture or too little of it, another board is, the picture is
-                mirrored, or it is too dark or too bright to show anything.
+            BoardNotFoundError: the picture shows no board, too little of it or another board, or it is mirrored, too
+                dark or too bright.
         """
         try:
             return self._find(image)

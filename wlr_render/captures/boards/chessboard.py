@@ -39,7 +39,7 @@ class Chessboard(CellBoard):
     """A chessboard of black and white squares; its features are the inner corners.
 
     Attributes:
-        columns, rows: numbers of inner corners, one less than of squares.
+        columns, rows: numbers of inner corners, each one less than the number of squares.
         square_m: side of a square.
         margin_m: white around the squares.
         tolerances: tolerances of the print.

@@ -162,7 +162,7 @@ class DotLattice:
     index: IntArray
 
     def only(self, rows: NDArray[np.generic]) -> "DotLattice":
-        """Return the dots of a mask (k,), or at some positions."""
+        """Return the dots selected by a mask (k,) or by positions."""
         return DotLattice(self.dot[rows], self.index[rows])
 
     def __len__(self) -> int:

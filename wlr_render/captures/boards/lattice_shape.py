@@ -126,7 +126,7 @@ class Discs:
     radius_m: FloatArray
 
     def only(self, rows: NDArray[np.generic]) -> "Discs":
-        """Return the discs of a mask (n,), or with some numbers."""
+        """Return the discs selected by a mask (n,) or by numbers."""
         return Discs(self.centroid[rows], self.radius_m[rows])
 
     def centres(self, lens: Lens, point: FloatArray, pixel: FloatArray) -> FloatArray:
