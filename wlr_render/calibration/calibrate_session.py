@@ -1,8 +1,8 @@
 """Calibrate the eyes of a headset from the photographs of a session: bench, captures in the device frame, models.
 
-Detection numbers the features of a board that looks the same turned by 180 degrees from either end. The right way round
-follows from the other photographs of the target: all cameras count as upright except the tracking camera, which has a
-known roll, so that the board's columns run the same way in all photographs of one target pose.
+If a board looks the same turned by 180 degrees, detection may number its features from either end. The correct end
+follows from the other photographs of the target: all cameras are assumed upright except the tracking camera, which has
+a known roll, so that the board's columns run the same way in all photographs of one target pose.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

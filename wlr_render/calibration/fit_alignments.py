@@ -49,7 +49,7 @@ _ALIKE = (0.0, 0.4, 0.8)  # correlations of successive alignments over which the
 _INVERSE_DEPTH, _INVERSE_DEPTH_SIGMA = 0.7, 0.4  # distance of the virtual image, 1/m; one eye position does not show it
 _ROUNDS = 4  # linearisations about the eye's position
 _ON_A_LINE = 0.02  # least spread of pixels across their best-fit line, over the panel's height
-_CONTRADICTION_ARCMIN = 90.0  # residual beyond any wearer's, from axes or frames that are mixed up
+_CONTRADICTION_ARCMIN = 90.0  # least residual that means wrong axes or frames; no wearer is so far off
 _SUSPECTS = 3  # number of alignments with the largest residuals that are tested against the others
 _OUTLIER = 4.0  # outlier threshold of a prediction from the other alignments, standard errors
 

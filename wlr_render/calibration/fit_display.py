@@ -25,7 +25,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
 DISPLAY_LIMITS = (Limits(8, 5, 8), Limits(10, 5, 10), Limits(pixel=12, place=6, total=12))
-"""Limits of first fits, and of all fits; terms between them are used if they matter."""
+"""Limits of the first fit and of all fits; further fits use the terms between these limits that matter."""
 
 
 def _readings(captures: DisplayCaptures, place: ModelPlace, limits: Limits, trend: Trend | None) -> FitReadings:

@@ -188,7 +188,7 @@ class ModelFit(Generic[AnyModel]):
 
     @cached_property
     def report(self) -> FitReport:
-        """Report of the fit; held-out positions and the row to add take about as long as the fit."""
+        """Report of the fit; computing the held-out errors and the further row takes about as long as the fit."""
         smooth, captures = self.smooth, self.captures
         seen = self.seen(captures)
         residual_px, usable = None, seen.usable

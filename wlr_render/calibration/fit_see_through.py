@@ -26,7 +26,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
 SEE_THROUGH_LIMITS = (Limits(6, 4, 6), Limits(8, 5, 8), Limits(pixel=12, place=6, total=12))
-"""Limits of first fits and of all fits, for direction and place; deviations are smoother than display distortion."""
+"""Limits of the first fit and of all fits, lower than for the display, because deviations are smoother."""
 
 
 def _on_plane(captures: SeeThroughCaptures, place: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:

@@ -253,7 +253,7 @@ def _labels(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -
 
 
 def _of_dots(captures: SeeThroughCaptures, shifted: FloatArray, turned: FloatArray) -> Iterator[_Label]:
-    """Yield labels of the target, from columns of a dot's shift, of any size, and of its line of sight's rotation."""
+    """Yield labels of the target; columns `shifted` are for shifts of a dot, `turned` for turns of its direction."""
     dot, pose = captures.target_point[:, :2], np.unique(captures.target_pose, return_inverse=True)[1]
     size, place = np.sqrt(np.mean(shifted**2) / np.mean(turned**2)), _extents(dot)
     yield _Label("dot", _cells(dot, _DOTS), shifted / size, place)

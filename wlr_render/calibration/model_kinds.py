@@ -173,7 +173,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
                 "machine: there are too few camera positions, or the motions between them explain all that they see; "
                 "add camera positions."
             ) from error
-        if degree is None:  # with a stated degree, the limit may be the cause
+        if degree is None:  # a stated degree may be the cause of a contradiction
             smooth.require_agreement(f"the {self.name} captures of {captures.device}", used.sigma_arcmin)
         readings_of = partial(_with_orders, readings_within, smooth.readings.orders)
         mapping = how.model(used, place, smooth.polynomial, smooth.spread)

@@ -311,7 +311,7 @@ class SmoothFit:
             readings = readings.moving(columns)
         prior = smoothness_prior(readings, moving=columns is not None)
         sums = sums_of(readings, None, columns, kept)
-        usual = dict(zip(prior.names, prior.expected[:, 0], strict=True))  # for labels that only these readings have
+        usual = dict(zip(prior.names, prior.expected[:, 0], strict=True))  # defaults for further labels
         found = posterior(sums, prior, np.array([hyper.get(name, usual[name]) for name in usual]), evidence=False)
         return self._with_common(readings, found, sums, kept)
 

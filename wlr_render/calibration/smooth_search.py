@@ -212,7 +212,7 @@ class _Search:
         return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start, sums)
 
     def _with_motions(self, still: SmoothFit, before: SmoothFit | None) -> SmoothFit:
-        """Add motions of the captures, starting from the sizes in a fit to the same captures, `before`, if not None."""
+        """Add motions of the captures, starting from the sizes of `before`, a fit to the same captures, if given."""
         start, kept, polynomial = still.start, still.kept, still.polynomial
         readings = still.readings.moving(motion_columns(still.readings, polynomial))
         prior = smoothness_prior(readings, moving=True, stage=self.stage)

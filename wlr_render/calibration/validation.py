@@ -97,7 +97,7 @@ class Refit:
     """A fit to be repeated with other captures.
 
     Attributes:
-        method: one of `METHODS`. number: number of the refit among those of this method.
+        method: one of `METHODS`. number: number of the refit within this method.
         captures: captures to fit.
         expected: expected directions by "display" and "see-through".
     """
