@@ -196,7 +196,7 @@ class Clock:
 
     Attributes:
         latency_s: delay from the time for which a frame is drawn to the display of its first row.
-        scanout_s: time from the display of the panel's first row to that of its last row.
+        scanout_s: time between the displays of the panel's first and last row.
     """
 
     latency_s: Annotated[float, _number()] = 0.0

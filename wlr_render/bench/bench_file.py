@@ -61,7 +61,7 @@ def load_bench(path: str | Path) -> Bench:
 
 
 def device_from_file(file: Table) -> FloatArray:
-    """Return the rotation (3, 3) from the axes of an opened bench file to those of the device frame."""
+    """Return the rotation (3, 3) from the axes of an opened bench file to the device frame's axes."""
     return FRAMES[file.text("frame", choices=sorted(FRAMES))]
 
 

@@ -286,7 +286,7 @@ def _pose_error(bench: Bench, plan: StagePlan) -> FloatArray | None:
 
 
 def camera_orientations(bench: Bench, plan: StagePlan) -> FloatArray:
-    """Return the true rotations device_from_camera (n, 3, 3) of the camera, slip included."""
+    """Return the true rotations device_from_camera (n, 3, 3) of the camera, including the slip."""
     turned = mounted(bench, plan)
     if plan.orientation is not None:
         turned = plan.orientation @ turned

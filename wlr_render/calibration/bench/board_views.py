@@ -62,7 +62,7 @@ class BoardView:
         return len(self.point)
 
     def only(self, rows: BoolArray) -> "BoardView":
-        """Return the view with the features of a mask (n,)."""
+        """Return the view with the features selected by a mask (n,)."""
         return replace(
             self,
             feature=self.feature[rows],

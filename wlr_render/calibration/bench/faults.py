@@ -23,7 +23,7 @@ from wlr_render.numerics.arrays import FloatArray
 NEGLIGIBLE_M, NEGLIGIBLE_RAD = 3e-5, 0.3 * ARCMIN
 """Largest negligible motions; such a shift moves a target at half a metre by 0.2 arcminutes."""
 _PLAUSIBLE = {  # standard deviations of faults of a bench, radians and metres
-    "photograph": np.repeat([3e-3, 1e-2], 3),  # for a reading other than the recorded one
+    "photograph": np.repeat([3e-3, 1e-2], 3),  # a reading differs from the recorded one
     "motion": np.repeat([3e-3, 1e-3], 3),
 }
 _SIMILAR = 5.0  # log odds, 150 to 1, below which both explanations remain possible
@@ -140,10 +140,7 @@ def worst_fault(adjustment: Adjustment) -> Fault | None:
 
 
 def _most_probable(candidates: Sequence[Fault], log_odds: FloatArray, motion: FloatArray) -> Fault | None:
-    """Return the fault of greatest odds, with its motion and with alternatives of similar probability.
-
-    Odds (n,) and motions (n, 6) are those of the candidates.
-    """
+    """Return the candidate of greatest odds (n,), with its motion (n, 6) and alternatives of similar probability."""
     least = _CONVINCING + np.log(len(candidates))
     granted = [
         fault

@@ -160,7 +160,7 @@ class BenchState:
         return min(self.base)
 
     def mount(self, orientation: int) -> FloatArray:
-        """Return the transform (4, 4) from the camera frame of a mounting to that of the first mounting."""
+        """Return the transform (4, 4) from the camera frame of a mounting to the first mounting's camera frame."""
         if orientation == self.first_mounting:
             return np.eye(4)
         return np.asarray(transforms.inverse(self.base[self.first_mounting]) @ self.base[orientation])
@@ -260,7 +260,7 @@ class BenchState:
     def visit_motion(self, place: str) -> dict[Key, FloatArray]:
         """Return the small motion (6, k), camera frame, by the stage's errors in one visit and at each axis reading.
 
-        The keys are those of measured errors; the result is empty without a stage.
+        The keys are the same as for measured errors; the result is empty without a stage.
         """
         each = self.observations.places[place]
         if each.reading is None:

@@ -28,7 +28,7 @@ from wlr_render.lenses.splined_lens import SplinedLens
 _UNITS = {"length": "m", "angle": "rad", "pixel": "px"}
 FORMAT = "wlr-station"
 VERSION = 3
-_MOST_AMPLITUDE_PX = 100.0  # largest amplitude of a residual, far above that of any lens model
+_MOST_AMPLITUDE_PX = 100.0  # largest amplitude of a residual, beyond any lens model's
 _MOST_WAVES = 20  # most half waves of a residual along a side
 
 

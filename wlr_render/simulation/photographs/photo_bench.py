@@ -300,7 +300,7 @@ def target_at(bench: PhotoBench, depth_m: float, tilt_deg: float = 0.0, shift_m:
         bench: the bench.
         depth_m: depth along the middle of the view.
         tilt_deg: further rotation about the vertical axis of the view.
-        shift_m: displacement to the right, with half of it downwards.
+        shift_m: displacement to the right; the downward displacement is half as large.
     """
     aim = _Aim.at(traced_eye(bench.device, bench.eye))
     pose = _target_pose(aim, bench.optics.eye_box.centre, depth_m)
@@ -334,7 +334,7 @@ def _turned(x_deg: float, y_deg: float, z_deg: float) -> FloatArray:
 
 
 def _board(aim: _Aim, depth_m: float, camera: LensCamera) -> DotBoard:
-    """Return a board that fills the display's field at the farthest pose, as far as it can be printed."""
+    """Return a board that fills the display's field at the farthest pose, up to the largest printable size."""
     wanted = 2 * aim.half_tangents * depth_m * _BOARD_MARGIN
     largest = _LARGEST_BOARD_M if wanted[0] >= wanted[1] else _LARGEST_BOARD_M[::-1]
     pitch = 1e-3 * np.ceil(1e3 * _PITCH_PX * depth_m / float(camera.focal_px[0]))

@@ -1,4 +1,4 @@
-"""Simulation of a session's folder, as from a lab: every photograph, taken through the true optics, and session.toml.
+"""Simulation of a lab's session folder: every photograph, taken through the true optics, and session.toml.
 
 `simulation.toml`, in the same folder, is the recipe of the photographs, so that interrupted work can be resumed and
 verification can take more photographs on the same bench. Calibration never opens it.
