@@ -197,7 +197,7 @@ def _no_camera(session: PhotoSession, entry: SessionEntry) -> str:
 
 
 def _check_axes(file: Table, session: PhotoSession) -> None:
-    """Refuse moving axes without a stated direction or photographs of a target, past or without the optics."""
+    """Refuse moving axes of unknown direction: neither stated nor shown by photographs not through the optics."""
     if session.stage is None or session.bare or session.beside:
         return
     of_optics: list[SessionEntry] = [*session.see_through, *session.display]

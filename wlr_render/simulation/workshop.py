@@ -1,4 +1,4 @@
-"""A second family of bench imperfections, from other function classes than models of a bench use.
+"""A second family of bench imperfections, from function classes that models of a bench do not use.
 
 `BenchImperfections` draws cubic curves, Brown-like lenses and quadratic boards. A workshop draws the same physical
 errors from other classes: sawtooth screws, random walks, random fields and a radially oscillating lens residual. Every

@@ -250,7 +250,7 @@ def _blocks(
 def _start_twists(
     observations: BenchObservations, views: Sequence[BoardView], seen: Mapping[str, FloatArray]
 ) -> FloatArray:
-    """Return twists (m, 6) of the axes, from relative camera motions between views of one target, first mounting.
+    """Return twists (m, 6) of the axes, from camera motions between views of one target in the first mounting.
 
     The twist is zero for an axis along which the views do not vary.
     """

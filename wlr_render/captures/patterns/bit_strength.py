@@ -12,7 +12,7 @@ from wlr_render.captures.photographs import CodeImage
 
 WEAK = 0.5
 """Median strength, relative to full contrast, below which a bit is weak."""
-_WELL_LIT = 0.25  # contrast of well-lit pixels relative to the brightest 5 %
+_WELL_LIT = 0.25  # contrast of well-lit pixels relative to the 95th percentile
 
 
 @dataclass(frozen=True)

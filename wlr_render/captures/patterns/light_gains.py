@@ -20,7 +20,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _PIXELS = 20_000  # number of well-lit pixels for the estimate of gains
-_WELL_LIT = 0.5  # contrast of these pixels relative to the brightest 5 %
+_WELL_LIT = 0.5  # contrast of these pixels relative to the 95th percentile
 _UNLIT, _LEAST_UNLIT = 0.03, 200  # contrast of unlit pixels, in the same unit, and least number to measure other light
 _OTHER_LIGHT = 0.03  # largest change of other light over the contrast of well-lit pixels
 _BLOCKS, _UNEVEN = 16, 0.03  # bands of rows or columns of the picture, and largest rms spread of the gain over them
@@ -75,7 +75,7 @@ class _Panel:
 
     Attributes:
         black, contrast: (h, w) black, and white - black.
-        bright: contrast of the brightest 5 % of the pixels.
+        bright: 95th percentile of the contrast.
         rows: (n,) flat indices of well-lit pixels.
         unlit: (h, w) pixels that the panel does not light.
     """
