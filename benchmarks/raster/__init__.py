@@ -1,1 +1,1 @@
-"""Rasterised frames, with the raster of the paper, against ray-traced ones, pixel by pixel."""
+"""Rasterised frames, as in the paper and by the compositor, against ray-traced frames, pixel by pixel."""

@@ -14,7 +14,7 @@ from wlr_render.scene.scene import world_positions
 from wlr_render.warp.ray_map import RayMap
 
 SAME_POINT = 0.01
-"""What lies nearer to a point than this share of its distance does not hide it: it is the surface it belongs to."""
+"""Share of a point's distance within which a surface is the point's own, and does not hide it."""
 
 
 def disoccluded(
@@ -24,17 +24,17 @@ def disoccluded(
     world_from_device: NDArray[np.float64],
     position: NDArray[np.floating],
 ) -> NDArray[np.bool_]:
-    """Mask of pixels whose hit points are hidden from the camera; without a hit, whether it sees an object there.
+    """Return the mask of pixels whose hit points the camera does not see, or that miss where the camera sees an object.
 
     Args:
-        tracer: of the scene.
+        tracer: tracer of the scene.
         camera_in_world: (3,) camera position of the intermediate image.
         ray_map: world rays of a display's pixels.
         world_from_device: (4, 4) head pose.
         position: (height, width, 3) world hit points of the rays, NaN without a hit.
 
     Returns:
-        (height, width).
+        Mask (height, width).
     """
     _, direction = ray_map.world_rays(world_from_device)
     return hidden_from(tracer, camera_in_world, direction.reshape(position.shape), position)
@@ -46,7 +46,7 @@ def hidden_from(
     direction: NDArray[np.floating],
     position: NDArray[np.floating],
 ) -> NDArray[np.bool_]:
-    """Like `disoccluded`, for any rays: their world directions (..., 3) and hit points (..., 3)."""
+    """Return the mask of `disoccluded` for any rays, by their world directions (..., 3) and hit points (..., 3)."""
     met = np.isfinite(position[..., 0])
     towards = np.array(direction)
     towards[met] = position[met] - camera_in_world
@@ -55,12 +55,12 @@ def hidden_from(
 
 
 def hit_positions(tracer: SceneTracer, hits: Intersections, origin: ArrayLike, direction: ArrayLike) -> FloatArray:
-    """Return where rays meet the planes of the triangles that they hit, in float64; Embree works in float32.
+    """Return the points at which rays meet the planes of their triangles, in float64; Embree works in float32.
 
     Args:
-        tracer: of the scene.
-        hits: of shape (...), from `intersect` of these rays.
-        origin, direction: (..., 3) the rays, in float64 for a float64 answer.
+        tracer: tracer of the scene.
+        hits: hits (...) from `intersect` of these rays.
+        origin, direction: (..., 3) rays, in float64 for a float64 result.
 
     Returns:
         (..., 3) world frame, metres; NaN on a miss.
@@ -80,7 +80,7 @@ def hit_positions(tracer: SceneTracer, hits: Intersections, origin: ArrayLike, d
 
 
 def _meet_planes(corners: FloatArray, origin: FloatArray, direction: FloatArray) -> FloatArray:
-    """Return where rays (n, 3) meet the planes of triangles (n, 3 corners, 3)."""
+    """Return the points at which rays (n, 3) meet the planes of triangles (n, 3 corners, 3)."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     along = np.sum((corners[:, 0] - origin) * normal, axis=1) / np.sum(direction * normal, axis=1)
     return np.asarray(origin + along[:, None] * direction)

@@ -1,4 +1,4 @@
-"""The raster of the paper (section 4.2): its warp map comes from the mesh."""
+"""The paper's rasterisation (section 4.2), with the warp map from the mesh."""
 
 import functools
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from wlr_render.warp.view import View
 class MeshWarpedPainter:
     """Like `WarpedPainter`, but the warp map comes from intersecting each world ray with the mesh.
 
-    The paper's map (section 4.2). The map is right everywhere; where the intermediate image hides a point, the point
+    This is the paper's map (section 4.2). It is correct everywhere; a point that is hidden in the intermediate image
     gets its occluder's colour. Colours are bilinear in linear light, without the filter of `WarpedPainter`.
     """
 
@@ -32,7 +32,7 @@ class MeshWarpedPainter:
         resolution: float = 1.0,
         raster_camera: RasterPlace = "nearest",
     ) -> None:
-        """Prepare, as `WarpedPainter`; `renderer` is of the same scene."""
+        """Prepare like `WarpedPainter`, with a renderer of the same scene."""
         channels = channels_of(mappings)
         panel = channels[0].display.panel
         self._plan = EyePlan.of(channels, (panel.width_px, panel.height_px), resolution, raster_camera)
@@ -55,7 +55,7 @@ class MeshWarpedPainter:
 
 
 def source_of_position(view: View, position: Float32Array) -> Float32Array:
-    """World points (height, width, 3) -> where the view's camera sees them and their inverse depth; NaN stays NaN."""
+    """Return pixels and inverse depths (height, width, 3) of world points in the view's camera; NaN stays NaN."""
     in_camera = transforms.apply(transforms.inverse(view.world_from_camera), position.astype(np.float64))
     inverse = -1.0 / in_camera[..., 2]
     pixel = view.camera.pixel_of_tangents(in_camera[..., :2] * inverse[..., None])

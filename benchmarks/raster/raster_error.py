@@ -13,12 +13,12 @@ from wlr_render.geometry import directions
 
 @dataclass(frozen=True, eq=False)
 class RasterError:
-    """Per display pixel, (height, width).
+    """Errors per display pixel, (height, width).
 
     Attributes:
-        registration_arcmin: angle, seen from the viewpoint, between the point that the warped frame shows and the one
-            that the ray-traced frame shows; NaN where either shows nothing.
-        only_one: exactly one of the two frames shows something.
+        registration_arcmin: angle at the viewpoint between the points that the warped and the ray-traced frame show;
+            NaN where either shows nothing.
+        only_one: True where exactly one of the two frames shows something.
     """
 
     registration_arcmin: NDArray[np.float64]
@@ -31,7 +31,7 @@ def raster_error(
     """Compare a warped frame with the ray-traced frame of the same viewpoint.
 
     Args:
-        warped_position: (height, width, 3) world points that the warped frame shows, NaN where nothing.
+        warped_position: (height, width, 3) world points that the warped frame shows, NaN without one.
         traced_position: (height, width, 3) world points that the ray-traced frame shows.
         eye_in_world: (3,) the viewpoint, where angles are measured.
     """

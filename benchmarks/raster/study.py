@@ -61,10 +61,10 @@ METHODS: dict[str, tuple[RasterPlace, bool, float]] = {
     "map from the mesh": ("nearest", True, 1.0),
     "camera at the viewpoint, map from the mesh (paper)": ("viewpoint", True, 1.0),
 }
-"""Rows of the table: raster camera, whether the warp map comes from the mesh, and resolution; the first is drawn."""
+"""Rows of the table: raster camera, whether the warp map comes from the mesh, resolution; the first row is drawn."""
 _FIRST = next(iter(METHODS))
 ERROR_LIMITS_ARCMIN = (1e-3, 10.0)
-"""First and last colour of the error maps."""
+"""Errors of the first and last colour of the error maps."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,9 @@ class RasterOptions(Options):
 
 
 def run(options: RasterOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Draw a frame by rasterisation and by ray tracing and compare them; writes both, and the error map as .tiff.
+    """Draw a frame by rasterisation and by ray tracing and compare them; write both, and the error map as .tiff.
 
-    The table has a row for each of `METHODS`; the verdict, the frame and the error map belong to the first.
+    The table has a row for each of `METHODS`; the verdict, the frame and the error map are of the first.
 
     Raises:
         BadInputError: faulty headset or scene, or a viewpoint outside the eye box.
@@ -211,7 +211,7 @@ class _Compared:
         )
 
     def write(self, folder: Path, title: str) -> list[Path]:
-        """Both frames, the error map and the picture."""
+        """Write both frames, the error map and the comparison picture."""
         written = [folder / "raster.png", folder / "raytrace.png", folder / "error.tiff"]
         write_png(written[0], self.rastered)
         write_png(written[1], self.traced)

@@ -1,4 +1,4 @@
-"""Renderers that nobody here wrote, as functions from rays to distances."""
+"""Third-party renderers, as functions from rays to distances."""
 
 import importlib.metadata
 import runpy
@@ -23,17 +23,17 @@ from wlr_render.warp.ray_map import RayMap
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 Cast = Callable[[Float32Array, Float32Array], Float32Array]
-"""Origins and directions (n, 3), without NaN -> distances (n,), infinite for a miss."""
+"""Function from origins and directions (n, 3), without NaN, to distances (n,), infinite for a miss."""
 
 
 @dataclass(frozen=True)
 class Library:
-    """A library whose rays are compared.
+    """A library that is compared with Embree.
 
     Attributes:
-        module: what Python imports.
-        package: what pip installs.
-        caster: makes the function that casts rays into a scene.
+        module: name of the Python module.
+        package: name of the pip package.
+        caster: function of a scene that returns a function to cast rays.
     """
 
     module: str
@@ -42,7 +42,7 @@ class Library:
 
     @property
     def is_installed(self) -> bool:
-        """True if Python finds the library, which is not imported."""
+        """True if Python finds the library, without importing it."""
         return find_spec(self.module) is not None
 
     @property
@@ -69,11 +69,11 @@ BESIDE_M = 1e-6
 
 
 def right_distances(scene: Scene, origin: Float32Array, direction: Float32Array) -> FloatArray:
-    """Return distances (5, n), in 64 bits, of the surfaces that rays (n, 3) may hit; infinite for a miss.
+    """Return distances (5, n), in 64 bits, to the surfaces that rays (n, 3) may hit; infinite for a miss.
 
-    They are distances along the ray itself to the plane of the triangle that Embree hits, and to the planes of the
-    triangles that it hits from four points `BESIDE_M` to the sides of the ray. The five differ only for a ray that
-    passes an edge so closely that 32-bit rounding decides which side it hits.
+    They are distances along the ray to the plane of the triangle that Embree hits, and to the planes of the triangles
+    that it hits from four points shifted sideways by `BESIDE_M`. The five differ only for a ray that passes an edge so
+    closely that 32-bit rounding decides which side it hits.
     """
     tracer = SceneTracer(scene)
     placed = [(scene.mesh_of(instance), instance) for instance in scene.instances]
@@ -125,7 +125,7 @@ bpy.ops.render.render(write_still=True)
 
 
 def blender_positions(rays: RayMap, world_from_device: FloatArray, scene: str) -> Float32Array:
-    """Return world points (n, 3) that the rays hit in Blender's Cycles, in its own process; 0 for a miss.
+    """Return world points (n, 3) that the rays hit in Blender's Cycles, in a separate process; 0 for a miss.
 
     Raises:
         BadInputError: Blender ends with an error.

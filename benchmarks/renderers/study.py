@@ -41,10 +41,10 @@ class RenderersOptions(Options):
 
 
 def run(options: RenderersOptions = RenderersOptions(), *, progress: ProgressArgument = SILENT) -> Report:
-    """Compare the renderers that are installed; writes renderers.html, .md and .json.
+    """Compare the installed renderers; write renderers.html, .md and .json.
 
     Raises:
-        BadInputError: none is installed, or a faulty file.
+        BadInputError: no renderer is installed, or a file is faulty.
     """
     installed = [library for library in LIBRARIES if library.is_installed]
     if not installed and find_spec("bpy") is None:
@@ -105,8 +105,8 @@ def differences(distance: Float32Array, expected: FloatArray) -> list[Cell]:
     """Tabulate a renderer's distances (n,) against `right_distances` (5, n).
 
     Returns:
-        Rays on the other side of an edge than Embree's; rays that hit, or miss, on no side; median, 99.9 % and maximum
-        of the others' differences in um; rays beyond 1 um.
+        Number of rays on the other side of an edge than Embree's; number that disagree with both sides; median, 99.9 %
+        quantile and maximum of the other rays' differences in um; number of rays beyond 1 um.
     """
     with np.errstate(invalid="ignore"):
         apart = np.abs(distance.astype(np.float64) - expected)
@@ -122,7 +122,7 @@ def differences(distance: Float32Array, expected: FloatArray) -> list[Cell]:
 
 
 def along_ray(position: Float32Array, origin: Float32Array, direction: Float32Array) -> Float32Array:
-    """Return distances (n,) of points along unit rays; the origin of the world marks a miss and gives infinity."""
+    """Return distances (n,) of points along unit rays; points at the world's origin mark misses and give infinity."""
     along = ((position.astype(np.float64) - origin) * direction).sum(axis=1)
     return np.where((position != 0).any(axis=1), along, np.inf).astype(np.float32)
 

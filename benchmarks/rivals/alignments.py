@@ -1,8 +1,8 @@
 """SPAAM, INDICA and fitted displays on alignments that a wearer made, with tracked eyes.
 
-Directions are lumped: an alignment says that the pixel covers the marker for this eye, through the optics. So all
-methods are judged as one, display and see-through together, and ours are fitted as displays that are looked through
-straight.
+Display and see-through are not separated: in an alignment the pixel covers the marker for this eye, through the optics.
+So all methods are judged for display and see-through together, and ours are fitted as displays with straight
+see-through rays.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,16 +22,16 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
 from wlr_render.report.blocks import Cell, ReportTable
 
-_FREE = 11  # numbers of SPAAM
-_LEAST_SIZE = 1e-3  # metres of the eye box
+_FREE = 11  # free parameters of SPAAM
+_LEAST_SIZE = 1e-3  # smallest size of the eye box, metres
 REFERENCE = "SPAAM of another sitting"
 
 Predict = Callable[[FloatArray, FloatArray], FloatArray]
-"""(points (n, 3), eye (3,)) -> pixels (n, 2)."""
+"""Function of points (n, 3) and eye (3,) that returns pixels (n, 2)."""
 
 
 def alignment_tables(found: Alignments) -> list[ReportTable]:
-    """Errors of all methods on alignments that were not fitted, and how well a wearer repeats them."""
+    """Tabulate errors of all methods on alignments that were not fitted, and a wearer's repeatability."""
     judged = _judged(found)
     reference = next(each for each in judged if each.method == REFERENCE)
     px = _arcmin_per_px(found)
@@ -51,9 +51,9 @@ def alignment_tables(found: Alignments) -> list[ReportTable]:
 
 
 def full_setup(screen: Screen, eye_box: EyeBox) -> PinholeDisplay:
-    """INDICA's full setup: the display of a screen of known pose and pitch, for any eye."""
+    """Return INDICA's full setup: the display of a screen of known pose and pitch, for any eye."""
     size = np.array([screen.panel.width_px, screen.panel.height_px], np.float64)
-    across, down, _ = screen.rotation / screen.px_per_m  # rows: the screen's axes in the world, metres a pixel
+    across, down, _ = screen.rotation / screen.px_per_m  # rows: the screen's axes in the world, metres per pixel
     middle = -screen.rotation.T @ screen.translation
     corner = np.asarray(middle - (across * (size[0] - 1) + down * (size[1] - 1)) / 2, np.float64)
     matrix, depth = np.column_stack([across, down, corner]), np.array([0.0, 0.0, 1.0])
@@ -65,13 +65,13 @@ def full_setup(screen: Screen, eye_box: EyeBox) -> PinholeDisplay:
 
 
 def recycled(sitting: Sitting, screen: Screen, eye_box: EyeBox, eye: FloatArray | None = None) -> PinholeDisplay:
-    """INDICA's recycle setup: SPAAM of an old sitting, shifted by the screen's distance.
+    """Return INDICA's recycle setup: SPAAM of an old sitting, shifted by means of the screen's distance.
 
     Args:
-        sitting: the old one.
-        screen: only its distance along the view is used.
-        eye_box: of the display.
-        eye: (3,) where the eye was then; None for the place that SPAAM gives, as published.
+        sitting: the old sitting.
+        screen: screen, of which only the distance along the view is used.
+        eye_box: eye box of the display.
+        eye: (3,) position of the eye in that sitting; None for the position by SPAAM, as published.
     """
     projection = fit_projection(sitting.pixel, sitting.point, f"sitting {sitting.name}")
     inverse = np.asarray(np.linalg.inv(projection[:, :3]), np.float64)
@@ -87,7 +87,7 @@ def recycled(sitting: Sitting, screen: Screen, eye_box: EyeBox, eye: FloatArray 
 
 
 def as_captures(sittings: Sequence[Sitting], screen: Screen, eye_box: EyeBox, sigma_arcmin: float) -> DisplayCaptures:
-    """Alignments as captures from the tracked eyes, one camera position for each sitting."""
+    """Return alignments as captures from the tracked eyes, with one camera position per sitting."""
     counts = [len(each.pixel) for each in sittings]
     viewpoint = np.repeat([each.eye for each in sittings], counts, axis=0)
     point = np.concatenate([each.point for each in sittings])
@@ -113,7 +113,7 @@ def _judged(found: Alignments) -> list[HeldOut]:
     noise = px * float(np.sqrt(np.mean([_noise_px(each) ** 2 for each in sittings])))
 
     def error(at: int, pixel: FloatArray) -> FloatArray:
-        """Angles between the pixels of a sitting's alignments and others, by the calibrated screen."""
+        """Return the angles between the pixels of a sitting's alignments and other pixels, by the calibrated screen."""
         seen = known.view_dir_of_pixel(np.stack([sittings[at].pixel, pixel]), sittings[at].eye).value
         return np.asarray(np.linalg.norm(seen[0] - seen[1], axis=-1) / ARCMIN)
 
@@ -139,7 +139,7 @@ def _judged(found: Alignments) -> list[HeldOut]:
         return held_out(method, group, without)
 
     def alone(target: int) -> FloatArray:
-        """Each alignment of a sitting by SPAAM of its others."""
+        """Predict each alignment of a sitting by SPAAM of its other alignments."""
         mine = sittings[target]
         out = np.arange(len(mine.pixel))
         return np.array(
@@ -187,7 +187,7 @@ def _noise_table(sittings: Sequence[Sitting], px: float) -> ReportTable:
 
 
 def _noise_px(sitting: Sitting) -> float:
-    """Return the standard deviation per axis about SPAAM of the sitting itself, pixels."""
+    """Return the standard deviation per axis about SPAAM of the same sitting, pixels."""
     projection = fit_projection(sitting.pixel, sitting.point, f"sitting {sitting.name}")
     rest = _project(projection, sitting.point) - sitting.pixel
     return float(np.sqrt(np.sum(rest**2) / (rest.size - _FREE)))

@@ -1,4 +1,4 @@
-"""Comparison of methods on simulated captures: ours and published ones, fitted to the same captures."""
+"""Comparison of our methods and published methods, fitted to the same simulated captures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ DEFAULT_METHODS = (
     "plane",
     "spaam",
 )
-"""Cheap ones, and one of each kind."""
+"""Default methods: cheap methods, and one method of each kind."""
 EVERYWHERE = frozenset(DEFAULT_METHODS) | {
     "grey-box",
     "thin-plate-table-planar",
@@ -75,10 +75,10 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
 }
 """Errors of the bench by column; a camera's pixel is an arcminute wide in its middle."""
 _NOISY, _USUAL = "1 px", "0.25 px"
-_LEAST_DRAWN = 1e-4  # arcminutes, in the plot of methods
-_LEADERS = 12  # curves in the plot of camera positions
+_LEAST_DRAWN = 1e-4  # smallest error in the plot of methods, arcminutes
+_LEADERS = 12  # number of curves in the plot of camera positions
 _TIES, _ONE_DRAW = 2.0, 0.1
-"""Standard errors within which two methods are equally good; with one draw, the share of the error."""
+"""Number of standard errors within which two methods are equally good; with one draw, share of the error."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,8 @@ class _Table:
     """Outcomes of the methods for one eye.
 
     Attributes:
-        outcomes: of the repetitions, by condition, then method.
-        by_count: at `_USUAL` noise, by number of camera positions, then method.
+        outcomes: outcomes of the repetitions, by condition, then method.
+        by_count: outcomes at `_USUAL` noise, by number of camera positions, then method.
     """
 
     outcomes: Mapping[str, Mapping[str, Sequence[Outcome]]]
@@ -104,7 +104,7 @@ class _Table:
         return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
 
     def refusals(self) -> list[str]:
-        """Sentences: which methods gave no model, in which conditions, and why."""
+        """Return a sentence for each method without a model, with conditions and reason."""
         where: dict[tuple[str, str], list[str]] = {}
         for condition, by_method in self.outcomes.items():
             for method, outcomes in by_method.items():
@@ -113,17 +113,17 @@ class _Table:
         return [f"{method} ({', '.join(conditions)}): {why}" for (method, why), conditions in where.items()]
 
     def ranked(self, condition: str, measure: str = MethodMeasure.COMPOSITE) -> list[str]:
-        """Methods with the error, the best first."""
+        """Return the methods for which the error is known, best first."""
         error = {method: self.rms(condition, method, measure) for method in self.outcomes[condition]}
         known = [method for method in error if np.isfinite(error[method])]
         return sorted(known, key=error.__getitem__)
 
 
 def chosen_methods(names: Sequence[str]) -> Sequence[str]:
-    """Return the methods of these names; "all" selects all methods.
+    """Return the methods with these names; "all" selects all methods.
 
     Raises:
-        BadInputError: a name is unknown, or "all" is not alone.
+        BadInputError: a name is unknown, or "all" is given with other names.
     """
     if tuple(names) == ("all",):
         return tuple(METHODS)
@@ -140,7 +140,7 @@ def chosen_methods(names: Sequence[str]) -> Sequence[str]:
 def compare_methods(study: Study, chosen: Sequence[str]) -> Findings:
     """Compare methods on the same captures, by error of the bench, structure, number of positions and cost.
 
-    If all are chosen, some are run in some conditions only (see `EVERYWHERE`), and some less often (see `COSTLY`).
+    If all are chosen, some run in some conditions only (see `EVERYWHERE`), and some less often (see `COSTLY`).
     """
     blocks: list[Block] = [_sources(chosen)]
     verdict: list[str] = []
@@ -283,7 +283,7 @@ def _beyond_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
 
 
 def _structures_table(eye: EvaluatedEye, found: _Table) -> list[ReportTable]:
-    """Compare regressors across structures; empty unless one ran in all structures."""
+    """Compare regressors across structures; empty unless a regressor ran in all structures."""
     own = {"polynomials by evidence": dict(zip(STRUCTURES, STRUCTURES, strict=True))}
     regressors = own | {name: {each: f"{name}-{each}" for each in STRUCTURES} for name in REGRESSORS}
     rows: list[list[Cell]] = []

@@ -1,4 +1,4 @@
-"""Methods that are fitted to captures of a display alone, and what each makes of the viewpoint."""
+"""Methods that are fitted to captures of a display alone, and their dependence on the viewpoint."""
 
 from collections.abc import Callable, Mapping
 
@@ -19,7 +19,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 FitDisplay = Callable[[DisplayCaptures], DisplayMapping]
 
-_STRAIGHT = 0.02  # largest distance of a position from the line of all, over the distance of the outermost positions
+_STRAIGHT = 0.02  # largest distance of a position from the common line, over the distance of the outermost positions
 
 
 def line_table(samples: Samples) -> Regressor:
@@ -74,4 +74,4 @@ DISPLAYS: Mapping[str, FitDisplay] = {
     "ours: volumetric": _ours("volumetric"),
     "ours: planar": _ours("planar"),
 }
-"""By name."""
+"""Methods by name."""
