@@ -1,18 +1,18 @@
-"""Neural distortion field (NDF): Hiroi, Someya, Itoh, Optics Express 30(22) 40628, 2022, as published in form.
+"""Neural distortion field (NDF): Hiroi, Someya, Itoh, Optics Express 30(22) 40628, 2022, in its published form.
 
 A network gives the panel's pixel U and an occupancy o at a point in space and a direction; the pixel of a view
 direction t at a viewpoint v is the weighted sum along its ray, u(v, t) = sum over k of w_k U(point_k, t), with w the
-softmax of o. So the backward map is native, and the forward map solves it.
+softmax of o. So the backward map is explicit, and the forward map inverts it.
 
-What is reduced against the published method, so that a processor trains it in seconds: layers of tanh units, four
-frequencies of Fourier features, and few points on the ray at fixed inverse depths. Points are given by their tangents
-and inverse depth from the eye box's centre, so that the ray may pass through infinity (a virtual image lies beyond it
-where the light converges). U's last layer is linear; as the weights sum to one, u is linear in it, and training is by
-variable projection, with squares in place of a robust loss. An affine function of (v, t) is added to the sum. Widths,
-encodings and training time of the original are not known to us.
+Reduced relative to the published method, so that a CPU trains it in seconds: layers of tanh units, four frequencies of
+Fourier features, and few points on the ray at fixed inverse depths. Points are given by their tangents and inverse
+depth from the eye box's centre, so that the ray may pass through infinity (a virtual image lies beyond it where the
+light converges). U's last layer is linear; as the weights sum to one, u is linear in it, and training is by variable
+projection, with squares in place of a robust loss. An affine function of (v, t) is added to the sum. We do not know
+widths, encodings and training time of the original.
 
-On a ray bundle the sum is not needed, as a pixel is the same along a ray: that variant is `networks.network` in the
-structure "planar".
+On a ray bundle the sum is not needed, because the pixel is constant along a ray: that variant is `networks.network` in
+the structure "planar".
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ _START_DEGREE = 3
 
 @dataclass(frozen=True, eq=False)
 class RayLayers:
-    """Hidden layers whose last values (n, units) are weighted sums of values at points along rays.
+    """Hidden layers with last values (n, units) that are weighted sums of values at points along rays.
 
     They implement `network_training.Layers`. The flat weights are the weights of `hidden`, then the occupancy (units,).
 
@@ -48,7 +48,7 @@ class RayLayers:
         units: number of units of each layer.
         box: bounds of (x, y, z, tx, ty): viewpoints in metres, and view tangents.
         centre: (3,) metres, origin of the points' tangents and inverse depths.
-        dioptres: (k,) inverse depths of the points of a ray from the viewpoint, 1/m.
+        dioptres: (k,) inverse depths of a ray's points from the viewpoint, 1/m.
     """
 
     units: tuple[int, ...]
@@ -67,7 +67,7 @@ class RayLayers:
         return TanhLayers((5 * (1 + 2 * len(_FREQUENCIES)), *self.units))
 
     def start(self, rng: np.random.Generator, size: FloatArray) -> FloatArray:
-        """Random weights (numbers,): small ones for high frequencies, and the same occupancy for all points.
+        """Draw random weights (numbers,): small for high frequencies, and with the same occupancy for all points.
 
         `size` is not used.
         """
@@ -75,12 +75,12 @@ class RayLayers:
         return np.concatenate([self.hidden.start(rng, np.repeat(by_frequency, 5)), np.zeros(self.units[-1])])
 
     def features(self, inputs: FloatArray) -> FloatArray:
-        """Fourier features (n * k, sizes[0]) of the points of rays (n, 5), which are scaled to -1..1 in `box`."""
+        """Return Fourier features (n * k, sizes[0]) of the points of rays (n, 5), which `box` scales to -1..1."""
         low, high = self.box.low, self.box.high
         metric = 0.5 * (low + high) + 0.5 * inputs * (high - low)
         offset, tangents = (metric[:, :3] - self.centre)[:, None], metric[:, None, 3:]
         near = self.dioptres[:, None]
-        share = 1.0 - near * offset[..., 2:]  # depth from the viewpoint over that from the centre
+        share = 1.0 - near * offset[..., 2:]  # ratio of the depths from the viewpoint and the centre
         at, seen_from_centre = near / share, (tangents + near * offset[..., :2]) / share
         scale = self.box.select((3, 4))
         least, most = self.dioptres.min(), self.dioptres.max()
@@ -91,7 +91,7 @@ class RayLayers:
         return np.hstack([raw, *waves])
 
     def values(self, weights: FloatArray, inputs: FloatArray) -> list[FloatArray]:
-        """Values of the points' layers (n * k, size), the points' shares (n, k), and the weighted sum (n, units)."""
+        """Return values of the points' layers (n * k, size), the points' shares (n, k), and the sums (n, units)."""
         found = self.hidden.values(weights[: self.hidden.numbers], self.features(inputs))
         occupancy = (found[-1] @ weights[self.hidden.numbers :]).reshape(len(inputs), -1)
         raised = np.exp(occupancy - occupancy.max(axis=1, keepdims=True))
@@ -113,7 +113,7 @@ class RayLayers:
 
 @dataclass(frozen=True)
 class DistortionFieldDisplay(FittedDisplay):
-    """`DisplayMapping` of a distortion field: the backward query is in closed form, the forward one solves it.
+    """`DisplayMapping` of a distortion field: the backward query is in closed form, and the forward query inverts it.
 
     The warm start of the forward query is the view tangents.
 
@@ -152,7 +152,7 @@ def distortion_field(
 
     Args:
         captures: captures of the panel.
-        seconds: process time of the training; therefore the result depends on the speed of the machine.
+        seconds: process time of the training, so that the result depends on the speed of the machine.
         units: number of units of each hidden layer.
     """
     inputs = joined(captures.viewpoint, captures.tangents)

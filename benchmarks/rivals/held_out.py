@@ -10,18 +10,18 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.report.blocks import Cell
 
 _DRAWS = 4_000
-_LEVEL = (2.5, 97.5)  # percent
+_LEVEL = (2.5, 97.5)  # percentiles of the interval
 COLUMNS = ("rms (arcmin)", "95 % interval", "median (arcmin)", "over {}", "95 % interval of that")
-"""Heads of `cells`."""
+"""Column headings of `cells`."""
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors of a method at left-out data.
+    """Errors of a method on left-out data.
 
     Attributes:
         method: name of the method.
-        error: (n,) angles in arcminutes; empty if it refused.
+        error: (n,) angles in arcminutes; empty if the method refused the captures.
         group: (n,) unit of the bootstrap: the capture, view or sitting.
         refusal: reason why the method cannot use the captures; None if it can.
     """
@@ -33,12 +33,13 @@ class HeldOut:
 
 
 def held_out(method: str, group: IntArray, error_without: Callable[[int], FloatArray]) -> HeldOut:
-    """Fit without each group in turn and judge that group.
+    """Fit without each group in turn, and judge the left-out group.
 
     Args:
         method: name of the method.
         group: (n,) group of each row.
-        error_without: group -> errors in arcminutes of its rows for a fit to all other groups; NaN without a result.
+        error_without: function of a group that returns the errors of its rows, arcminutes, for a fit to all other
+            groups; NaN without a result.
     """
     error = np.full(len(group), np.nan)
     try:

@@ -3,8 +3,8 @@
 Kernel ridge regression is Itoh and Klinker's light-field correction ("Light-field correction for spatial calibration of
 optical see-through head-mounted displays", IEEE TVCG 21(4), 2015) in the form of their published code: 200 random
 readings as centres, Gaussians of one width, ridge and width by fivefold cross-validation. It differs from that code:
-folds are of camera positions, not of readings; the widths 0.1 and 0.2 are left out; and width and ridge are chosen
-jointly for both outputs.
+folds are camera positions, not readings; the widths 0.1 and 0.2 are left out; and width and ridge are chosen jointly
+for both outputs.
 """
 
 import warnings
@@ -19,19 +19,19 @@ from wlr_render.extras import installed_by
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
-_WIDTHS = (0.5, 0.67, 1.0, 1.5, 2.0, 5.0, 10.0)  # widths of a Gaussian in median distances of readings and centres
+_WIDTHS = (0.5, 0.67, 1.0, 1.5, 2.0, 5.0, 10.0)  # widths of a Gaussian over the median distance of readings and centres
 _RIDGES = np.logspace(-9, -1, 6)  # ridges of the published code
 _SMALL_RIDGES = np.logspace(-13, -3, 6)
-_TUNED = 4_000  # readings by which width and ridge are chosen
+_TUNED = 4_000  # number of readings for the choice of width and ridge
 _TUNING_CENTRES = 200
-_LIKELY = 400  # readings whose likelihood gives the hyperparameters of the Gaussian process
-_START_LENGTH = 3.0  # start of the likelihood search; shorter ones may end where the function counts as noise
+_LIKELY = 400  # number of readings in the likelihood for the hyperparameters of the Gaussian process
+_START_LENGTH = 3.0  # start of the likelihood search; shorter lengths may end with the function treated as noise
 _JITTER = 1e-9
 _RIDGE_ROUNDING = 1e-14
 
 
 def kernel_ridge(samples: Samples) -> NumericRegressor:
-    """Fit kernel ridge regression as published: 200 centres, no trend but the mean, ridges of 1e-9 and more."""
+    """Fit kernel ridge regression as published: 200 centres, the mean as the only trend, ridges from 1e-9."""
     return _ridge(samples, centres=200, ridges=_RIDGES, trend=samples.polynomial(0))
 
 
@@ -41,7 +41,7 @@ def free_kernel_ridge(samples: Samples) -> NumericRegressor:
 
 
 def _trend(samples: Samples) -> Polynomial:
-    """Polynomial of degree 3, or less where there are too few camera positions."""
+    """Fit a polynomial of degree 3, or less if there are too few camera positions."""
     positions = int(samples.position.max()) + 1
     return samples.polynomial(3 if positions >= 20 or not samples.is_place.any() else 2 if positions >= 10 else 1)
 
@@ -64,7 +64,7 @@ def _ridge(samples: Samples, centres: int, ridges: FloatArray, trend: Polynomial
 
     best = (np.inf, _WIDTHS[0], float(ridges[0]))
     for width in _WIDTHS:
-        # A ridge is relative to standardised outputs, as published, and readings of weight one.
+        # The ridge refers to standardised outputs, as published, and to readings of weight one.
         features = _gaussians(inputs[few], tuning, unit * width) / size
         error = samples.held_out_errors(features, target[few] / size, solutions, few)
         best = min(best, (float(error.min()), width, float(ridges[int(np.argmin(error))])))
@@ -82,9 +82,9 @@ def _solved(
 
     Args:
         samples: samples to fit.
-        features: inputs (n, variables) -> (n, k).
+        features: function of inputs (n, variables) that returns features (n, k).
         prior: (m, columns), with the columns of `Samples.design`.
-        trend: subtracted from the observed values first.
+        trend: polynomial that is subtracted from the observed values first.
         centres: number of values that the features store.
     """
     design = samples.design(features(samples.readings.inputs))
@@ -102,18 +102,18 @@ def _solved(
 
 
 def _gaussians(points: FloatArray, centres: FloatArray, width: float = 1.0) -> FloatArray:
-    """Gaussians (n, k) of points (n, d) about centres (k, d)."""
+    """Return Gaussians (n, k) of points (n, d) about centres (k, d)."""
     return np.asarray(np.exp(-_squares(points, centres) / (2.0 * width**2)))
 
 
 def _squares(points: FloatArray, centres: FloatArray) -> FloatArray:
-    """Squared distances (n, k) of points (n, d) from centres (k, d)."""
+    """Return squared distances (n, k) of points (n, d) from centres (k, d)."""
     square = np.sum(points**2, axis=1)[:, None] + np.sum(centres**2, axis=1) - 2.0 * points @ centres.T
     return np.asarray(np.maximum(square, 0.0))
 
 
 def gaussian_process(samples: Samples) -> NumericRegressor:
-    """Fit a Gaussian process with a length for each input, on a polynomial trend.
+    """Fit a Gaussian process with a length scale for each input, on a polynomial trend.
 
     The hyperparameters maximise the likelihood of 400 readings. All readings then give the weights of inducing points
     (subset of regressors: Rasmussen and Williams, "Gaussian Processes for Machine Learning", section 8.3.1).
@@ -136,9 +136,9 @@ def gaussian_process(samples: Samples) -> NumericRegressor:
 
 
 def _most_likely(samples: Samples, trend: Polynomial) -> tuple[FloatArray, float]:
-    """Return the lengths (variables,) of a process in scaled inputs, and its noise over the size of the function.
+    """Return the length scales (variables,) of a process in scaled inputs, and its noise over the size of the function.
 
-    The noise refers to a weighted reading: a factor on the stated sigma.
+    The noise refers to weighted readings: it is a factor on the stated sigma.
     """
     with installed_by("bench", "gaussian_process"):
         from sklearn.exceptions import ConvergenceWarning
@@ -158,6 +158,6 @@ def _most_likely(samples: Samples, trend: Polynomial) -> tuple[FloatArray, float
         lengths, (np.exp(-2.0), np.exp(4.0)), blocks=multiplier.shape[1]
     ) + WhiteKernel(noise, (np.exp(-28.0) * noise, np.exp(4.0) * noise))
     process = GaussianProcessRegressor(kernel, alpha=1e-10 * size * float(gain.max()))
-    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # a length at its bound
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # a length scale at its bound
         found = process.fit(np.hstack([samples.scaled[rows], multiplier]), target).kernel_
     return found.k1.k2.length_scale, float(np.sqrt(found.k2.noise_level / found.k1.k1.constant_value))

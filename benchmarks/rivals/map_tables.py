@@ -21,9 +21,9 @@ from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, term_count, total_degree
 
-_MAP_DEGREES = (4, 6, 8)  # degrees of one position's polynomial map; held-out readings choose
-_CONSTANT = 1e-6  # largest variation of a constant place, as a share of the extent of all places
-_DEPTHS_APART = 0.3  # smallest spread of inverse depths over the nearest point's; a tilted target reaches 0.2
+_MAP_DEGREES = (4, 6, 8)  # degrees of one position's polynomial map, chosen by held-out readings
+_CONSTANT = 1e-6  # largest variation of a position's place over the extent of all places
+_DEPTHS_APART = 0.3  # smallest spread of inverse depths over the largest; a tilted target reaches 0.2
 _COMPONENTS = (2, 3, 4, 6, 8, 10, 14, 18)
 _SCORE_DEGREES = (2, 3, 4, 5, 6)
 _STEPS_INWARD = 60
@@ -35,11 +35,11 @@ class PositionMaps:
     """The map of each of k camera positions: polynomials of the pixel (px) or of the view tangents.
 
     Attributes:
-        samples: that the maps are fitted to.
-        orders: (terms, 2) of the polynomials.
-        box: of the two inputs of the polynomials.
+        samples: samples to which the maps are fitted.
+        orders: (terms, 2) orders of the polynomials.
+        box: box of the two inputs of the polynomials.
         coefficients: (k, terms, outputs).
-        place: (k, place variables) of the positions, scaled to -1..1.
+        place: (k, place variables) places of the positions, scaled to -1..1.
     """
 
     samples: Samples
@@ -50,7 +50,7 @@ class PositionMaps:
 
     @classmethod
     def of(cls, samples: Samples) -> "PositionMaps":
-        """Fit each map by least squares, all of the degree with the least error at held-out readings.
+        """Fit each map by least squares, all with the degree of least error at held-out readings.
 
         Raises:
             BadInputError: a position's place is not one point, or it has too few readings.
@@ -84,16 +84,16 @@ class PositionMaps:
         return cls(samples, orders, box, np.array(coefficients), np.array(places))
 
     def metric_root(self) -> FloatArray:
-        """Upper triangular matrix (m, m) whose product with a map (m, 2) has the map's rms size over all readings.
+        """Return an upper triangular matrix (m, m) whose product with a map (m, 2) has the map's rms size in readings.
 
-        m is the blocks times the terms, as in `Samples.by_column`.
+        m is the number of blocks times the number of terms, as in `Samples.by_column`.
         """
         samples = self.samples
         phi = basis(samples.readings.inputs[:, ~samples.is_place], self.orders, self.box)
         return np.asarray(np.linalg.qr(samples.design(phi) / np.sqrt(len(samples)), mode="r"))
 
     def regressor(self, weights: Callable[[FloatArray], FloatArray], coefficients: FloatArray) -> NumericRegressor:
-        """Sum weights (n, c) at scaled places (n, place variables) times maps (c, terms, outputs) over c."""
+        """Sum maps (c, terms, outputs) over c with weights (n, c) at scaled places (n, place variables)."""
         samples, flat = self.samples, coefficients.reshape(len(coefficients), -1)
         box, is_place = samples.readings.box, samples.is_place
 
@@ -110,7 +110,7 @@ class PositionMaps:
 
         Args:
             fewest: number of positions that the interpolation needs.
-            interpolate: places (k, place variables) -> function of places (n, place variables): weights (n, k).
+            interpolate: function of k places that returns a function of n places, which returns weights (n, k).
 
         Raises:
             BadInputError: there are fewer positions, or they do not span the places.
@@ -122,7 +122,7 @@ class PositionMaps:
 
 
 def _held_out_map_error(samples: Samples, degree: int) -> float:
-    """Sum of squares at every fifth reading of each position, of a map fitted to the others."""
+    """Return the sum of squares at every fifth reading of each position for maps fitted to the other readings."""
     subject = samples.readings.inputs[:, ~samples.is_place]
     phi = basis(
         subject, total_degree(2, degree), samples.readings.box.select(np.flatnonzero(~samples.is_place).tolist())
@@ -164,7 +164,7 @@ def thin_plate_table(samples: Samples) -> NumericRegressor:
 
 
 FitScores = Callable[[FloatArray, FloatArray, Any], tuple[Callable[[FloatArray], FloatArray], int]]
-"""(places (k, variables), scores (k, count), setting) -> function of places, and how many numbers it stores."""
+"""(places (k, variables), scores (k, count), setting) -> function of places, and number of numbers that it stores."""
 
 
 def principal_components(samples: Samples) -> NumericRegressor:
@@ -181,10 +181,10 @@ def components_with_scores(
     """Fit the mean map and principal components, with scores that are a function of the place.
 
     Args:
-        samples: what to fit.
-        counts: numbers of components to choose from by the error at held-out positions.
-        settings: of `fit`, to choose from likewise.
-        fit: of the scores; it refuses a setting that needs more positions by a BadInputError.
+        samples: samples to fit.
+        counts: numbers of components, chosen by the error at held-out positions.
+        settings: settings of `fit`, chosen likewise.
+        fit: function that fits the scores; it raises BadInputError for a setting that needs more positions.
 
     Raises:
         BadInputError: too few camera positions.
@@ -194,7 +194,7 @@ def components_with_scores(
         return linear_table(samples)
     root = maps.metric_root()
     by_column = np.stack([samples.by_column(each) for each in maps.coefficients])
-    size = np.einsum("ij,kjo->kio", root, by_column).reshape(len(maps.place), -1)  # size in the readings
+    size = np.einsum("ij,kjo->kio", root, by_column).reshape(len(maps.place), -1)  # rms size in the readings
     fold = np.random.default_rng(0).permutation(len(size)) % FOLDS
 
     def error(count: int, setting: Any) -> float:
@@ -230,7 +230,7 @@ def _polynomial_scores(place: FloatArray, scores: FloatArray, degree: int) -> tu
 
 @dataclass(frozen=True, eq=False)
 class _Components:
-    """mean (m,) + scores(place) @ axes (count, m); the scores store some numbers."""
+    """A map as mean (m,) + scores(place) @ axes (count, m), and the number of numbers that the scores store."""
 
     mean: FloatArray
     axes: FloatArray
@@ -248,12 +248,12 @@ class _Components:
         return np.hstack([np.ones((len(place), 1)), self.scores(place)])
 
     def maps(self, place: FloatArray) -> FloatArray:
-        """(n, m)."""
+        """Return the maps (n, m) at places."""
         return self.mean + self.scores(place) @ self.axes
 
 
 def _require_two_depths(samples: Samples, rows: IntArray, position: int) -> None:
-    """Refuse see-through readings of one position whose real points are all about as far away."""
+    """Refuse see-through readings of one position with all real points at about the same distance."""
     if samples.readings.blocks == 1:
         return
     inverse = samples.readings.multiplier[rows, 1]
@@ -275,7 +275,7 @@ def _require_places(place: FloatArray, fewest: int) -> None:
 
 
 def _linear_weights(place: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Return a function of places (m, place variables): weights (m, k) of k places, clamped to their hull."""
+    """Return a function from places (m, place variables) to weights (m, k) of k places, clamped to their hull."""
     simplices, centre, variables = Delaunay(place), place.mean(axis=0), place.shape[1]
 
     def weights(wanted: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Published methods and ours on measurements of others, each judged by data that it was not fitted to."""
+"""Published methods and ours on third-party measurements, each judged by data to which it was not fitted."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -28,7 +28,7 @@ def compare_on_measurements(folder: Path, sets: Sequence[DataSet], out: Path, pr
         folder: folder of the sets; missing sets are skipped.
         sets: sets to use; all if empty.
         out: output folder of rivals.html, .md and .json.
-        progress: shows the set that is fitted.
+        progress: display of the set that is being fitted.
 
     Raises:
         BadInputError: the folder does not exist or has no set, a set is faulty, or the output folder
@@ -79,4 +79,4 @@ SETS: dict[DataSet, tuple[str, Callable[[Path], list[ReportTable]]]] = {
     "viewpoints": ("northstar_vcam_graycode/session2_head", _viewpoints),
     "reliefs": ("osvr_hdk13", _reliefs),
 }
-"""Subfolder of a set, and its tables."""
+"""Subfolder of each set, and its tables."""

@@ -1,4 +1,4 @@
-"""Trials of methods, ours and published ones: all fit the same captures and are judged at the same viewpoints."""
+"""Trials of our methods and published methods: all fit the same captures and are judged at the same viewpoints."""
 
 import time
 from dataclasses import dataclass, replace
@@ -43,11 +43,11 @@ DEPTHS_M = (0.25, 0.5, 1.0, 10.0)
 """Distances of real points between and beyond the targets of the captures."""
 OUTLIER_PX = 8.0
 TURN_DEG, SHIFT_MM = 0.2, 0.3
-"""Errors of assembly per axis by which a headset differs from its prescription as drawn."""
+"""Assembly errors per axis by which a headset differs from its prescription as drawn."""
 TRACKING_MM = 0.05
 """Error of eye tracking per axis."""
 FRAME_NODES = 17
-"""Along each axis of the panel, at which a frame's rays are solved."""
+"""Number of nodes along each axis of the panel at which a frame's rays are solved."""
 EVERY = 4
 """Step between the observations that are used."""
 _FRAMES = 5
@@ -70,18 +70,19 @@ class MethodMeasure(StrEnum):
 
 
 def at_depth(depth_m: float) -> str:
-    """Name of the composite error of points at one distance."""
+    """Return the name of the composite error of points at one distance."""
     return f"composite at {depth_m:g} m (arcmin)"
 
 
 @dataclass(frozen=True)
 class MethodTrial(Trial):
-    """A trial of a method, whose name is `kind`; `camera_noise_arcmin` is the noise of a camera's pixels in pixels.
+    """A trial of the method named `kind`; `camera_noise_arcmin` is the noise of a camera's pixels, in pixels.
 
     Attributes:
         outliers: share of readings that are wrong by `OUTLIER_PX`.
         tracking_error_mm: standard deviation per axis of the viewpoints of `MethodMeasure.TRACKED`.
-        in_depth: whether it is also judged along rays, at single distances, with an error of eye tracking, and timed.
+        in_depth: True to judge it also along rays, at single distances and with an error of eye tracking, and to time
+            it.
     """
 
     outliers: float = 0.0
@@ -90,7 +91,7 @@ class MethodTrial(Trial):
 
     @property
     def has_random_errors(self) -> bool:
-        """True if repetitions differ. With exact captures only drawn prescriptions do, and one of them is taken."""
+        """True if repetitions differ. With exact captures only drawn prescriptions differ, and one of them is used."""
         return super().has_random_errors or self.outliers > 0
 
     @property
@@ -170,7 +171,7 @@ def _simulated(trial: MethodTrial, kind: str, simulate: Simulate[AnyCaptures], r
 
 
 def _wrong_by(count: int, share: float, rng: np.random.Generator) -> FloatArray:
-    """Errors (count, 2) of `OUTLIER_PX` in random directions at a share of the rows: pixels or dots found elsewhere."""
+    """Draw errors (count, 2) of `OUTLIER_PX` in random directions for a share of the rows, as by misdetection."""
     wrong = rng.uniform(size=count) < share
     angle = rng.uniform(0.0, 2.0 * np.pi, count)
     return np.asarray(OUTLIER_PX * wrong[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
@@ -178,7 +179,7 @@ def _wrong_by(count: int, share: float, rng: np.random.Generator) -> FloatArray:
 
 @lru_cache(maxsize=4)
 def _judged(at: EvaluatedEye, seed: int) -> tuple[DisplayObservations, SeeThroughObservations]:
-    """Observations of pixels, and of real points at distances of 0.3 to 5 m."""
+    """Return observations of pixels, and of real points at distances of 0.3 to 5 m."""
     shown, seen = display_observations(at, seed), see_through_observations(at, seed)
     pixels = DisplayObservations(shown.viewpoint[::EVERY], shown.pixel[::EVERY], shown.view_dir[::EVERY])
     points = SeeThroughObservations(
@@ -189,14 +190,14 @@ def _judged(at: EvaluatedEye, seed: int) -> tuple[DisplayObservations, SeeThroug
 
 @lru_cache(maxsize=16)
 def _at_depth(at: EvaluatedEye, seed: int, depth_m: float) -> SeeThroughObservations:
-    """Observations of real points at one distance."""
+    """Return observations of real points at one distance."""
     seen = _judged(at, seed)[0]
     depth = np.full(len(seen.pixel), depth_m)
     return mapping_error.see_through_observations(truth(at).see_through, seen.viewpoint, seen.view_dir, depth)
 
 
 def _composite(exact: Eye, rival: Rival, seen: SeeThroughObservations, offset: FloatArray | None = None) -> FloatArray:
-    """Angles (n,) at the eye between real points and the pixels that a method shows for them.
+    """Return the angles (n,) at the eye between real points and the pixels that a method shows for them.
 
     The method is queried at viewpoints that are wrong by `offset` (n, 3) metres.
     """
@@ -240,7 +241,7 @@ def _errors_along_rays(at: EvaluatedEye, rival: Rival, seed: int) -> dict[str, S
 
 
 def _frame_ms(exact: Eye, rival: Rival, rng: np.random.Generator) -> float:
-    """Median process time of the rays of a frame for an eye that moves, from the last frame's solution."""
+    """Return the median process time of a frame's rays for a moving eye, started from the last frame's solution."""
     eye = replace(exact, display=rival.display, see_through=rival.see_through)
     axes = middle_axes(exact)
     nodes = RayMapPlan.with_nodes(exact.display.panel, FRAME_NODES, axes).node_pixel
@@ -257,7 +258,7 @@ def with_pixel_noise(captures: AnyCaptures, sigma_px: float, rng: np.random.Gene
     """Displace every measured direction by a pinhole camera's pixel noise, and record its sigma.
 
     The camera looks along -z; a pixel in its middle is an arcminute wide. Off axis the same pixel covers a smaller
-    angle: `sigma_arcmin` is the geometric mean of the radial and the other axis. (Paper, section 4.3.)
+    angle: `sigma_arcmin` is the geometric mean over the radial and the tangential axis. (Paper, section 4.3.)
     """
     if sigma_px == 0.0:
         return captures

@@ -1,4 +1,4 @@
-"""All methods by name: what each fits to the same captures of one eye, and who published it."""
+"""All methods by name: their fits to the same captures of one eye, and their sources."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -31,11 +31,11 @@ from wlr_render.simulation.simulate_captures import simulate_display, simulate_s
 
 STRUCTURES = ("static", "volumetric", "planar")
 SHAPE = 0.002
-"""Relative error of a semi-axis or curvature of each surface, for methods that know a prescription of wrong shape."""
+"""Relative error of a semi-axis or curvature of each surface, for methods that use a prescription with wrong shapes."""
 TRACED_POSITIONS = 100
-"""From which rays are traced through a prescription."""
+"""Number of positions from which rays are traced through a prescription."""
 _WAVELENGTH_UM = 0.55
-_NETWORK_S = 1.0  # process time for each side
+_NETWORK_S = 1.0  # process time for each side, seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +45,11 @@ class MethodData:
     Attributes:
         planar: captures from camera positions in a plane.
         volumetric: captures from as many positions in the eye box.
-        drawn: relative error of the shape -> the prescription as drawn. The parts of the real headset are displaced,
-            and its surfaces differ by that error. Raises BadInputError for surfaces without such an error.
-        bench_of: prescription -> a bench on which it replaces the headset, for methods that fit traced rays.
+        drawn: function of a relative shape error that returns the prescription as drawn. The parts of the real headset
+            are displaced, and its surfaces differ by that error. Raises BadInputError for surfaces without such an
+            error.
+        bench_of: function of a prescription that returns a bench with it in place of the headset, for methods that fit
+            traced rays.
     """
 
     planar: Captures
@@ -64,7 +66,7 @@ class MethodData:
         return {}
 
     def assembly(self, shape: float) -> tuple[FittedAssembly, float]:
-        """Fit assembly errors of the prescription with an error of the shape to the planar captures, once.
+        """Fit assembly errors of the prescription with a shape error to the planar captures, once.
 
         Also return the process time in seconds if another method spent it, else 0.
         """
@@ -81,9 +83,9 @@ class Rival:
     """A fitted method.
 
     Attributes:
-        display, see_through: its mappings.
-        numbers: how many have to be stored for both.
-        shared_seconds: process time of a fit that it shares with another method, which paid for it.
+        display, see_through: mappings of the method.
+        numbers: number of numbers to be stored for both.
+        shared_seconds: process time of a shared fit that was counted for another method.
     """
 
     display: DisplayMapping
@@ -97,10 +99,10 @@ class Method:
     """A method.
 
     Attributes:
-        source: who published it, or "this package".
-        structure: "static", "volumetric", "planar", or what else it takes from the eye's position.
-        fit: captures -> both mappings.
-        lumps: it maps the world to pixels in one; its mappings mean something only together.
+        source: publication, or "this package".
+        structure: "static", "volumetric", "planar", or another dependence on the eye's position.
+        fit: function of captures that returns both mappings.
+        lumps: True if it maps the world to pixels in one step; its mappings are meaningful only together.
     """
 
     source: str
@@ -110,7 +112,7 @@ class Method:
 
 
 def _numbers(*mappings: Any) -> int:
-    """Numbers stored by fitted models."""
+    """Count the numbers stored by fitted models."""
     return sum(mapping.modelled.numbers for mapping in mappings)
 
 
@@ -135,7 +137,7 @@ def _pinhole(fit: Callable[[Captures], tuple[PinholeDisplay, FixedEyeSeeThrough]
 
 
 def _screen(fit: Callable[[Captures], PinholeDisplay], data: MethodData) -> Rival:
-    """Fit a flat virtual screen, with a see-through that does not refract."""
+    """Fit a flat virtual screen, with straight see-through rays."""
     shown = fit(data.planar)
     return Rival(shown, undeviated(shown.eye_box), shown.numbers)
 
@@ -147,7 +149,7 @@ def _point_table(data: MethodData) -> Rival:
 
 
 def _distortion_field(data: MethodData) -> Rival:
-    """Fit the field to the display; the see-through is a static map."""
+    """Fit the field to the display; the see-through model is a static map."""
     display, see_through = data.volumetric.both
     shown = distortion_field(display, seconds=2.0 * _NETWORK_S)
     seen = fit_see_through(see_through, "static").mapping
@@ -182,7 +184,7 @@ def _grey_box(shape: float, data: MethodData) -> Rival:
 
 
 def _traced_components(fitted: bool, structure: str, data: MethodData) -> Rival:
-    """Principal components of rays that are traced through a prescription, as drawn or with fitted assembly errors."""
+    """Fit principal components to rays traced through a prescription, as drawn or with fitted assembly errors."""
     optics, seconds = data.drawn(SHAPE), 0.0
     if fitted:
         assembly, seconds = data.assembly(SHAPE)
@@ -247,6 +249,6 @@ def _methods() -> dict[str, Method]:
 
 
 REGRESSORS = tuple(_REGRESSORS)
-"""Names of regressors that stand in each structure: "NAME-STRUCTURE" is a method."""
+"""Names of regressors for every structure: "NAME-STRUCTURE" is a method."""
 METHODS: Mapping[str, Method] = _methods()
-"""By name."""
+"""Methods by name."""

@@ -1,8 +1,8 @@
 """Training of small networks of tanh units by variable projection and L-BFGS.
 
-Variable projection: the last, linear layer is the least-squares solution for the weights of the hidden layers, so that
-only those are searched. The loss does not change with the last layer to first order there; therefore its gradient by
-the hidden weights is the partial one (Golub and Pereyra, Inverse Problems 19(2) R1, 2003). The search is
+Variable projection: the last, linear layer is the least-squares solution for given hidden weights, so that only the
+hidden weights are searched. There the loss does not change with the last layer to first order; therefore its gradient
+by the hidden weights is the partial derivative (Golub and Pereyra, Inverse Problems 19(2) R1, 2003). The search is
 `scipy.optimize.minimize` with L-BFGS-B. It stops when held-out camera positions are no longer predicted better, or when
 the process time is spent. Therefore the results depend on the speed of the machine.
 """
@@ -22,36 +22,36 @@ from benchmarks.rivals.samples import Samples
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial, basis, total_degree
 
-_ROUNDING = 1e-10  # the units of the last layer cancel: its weights reach 100 times the values
-_RIDGE = 1e-9  # on the last layer, of the mean square of its multipliers
+_ROUNDING = 1e-10  # rounding of values: units of the last layer cancel, and its weights reach 100 times the values
+_RIDGE = 1e-9  # ridge on the last layer, relative to the mean square of its multipliers
 _TREND_RIDGE = 1e-13  # ridge that keeps terms small that the readings do not determine
 _FIRST_ROWS = 3_000
 _MORE_ROWS = 4  # factor by which the readings grow after each search that ends before the deadline
-_PLACE_SIZES = (0.1, 0.1, 0.3)  # size of the first weights, relative to the pixel's: maps change slowly with the place
-_TRIAL = 0.12  # share of the process time for each size; the best one at held-out positions is continued
-_CHECK_EVERY, _PATIENCE = 8, 5  # iterations between checks; checks without a better one
+_PLACE_SIZES = (0.1, 0.1, 0.3)  # tried sizes of the place's first weights over the pixel's: maps vary slowly with place
+_TRIAL = 0.12  # share of the process time for each size; the best size at held-out positions is continued
+_CHECK_EVERY, _PATIENCE = 8, 5  # iterations between checks; number of checks without improvement before the end
 
 
 class Layers(Protocol):
-    """Hidden layers whose weights are one flat array: `TanhLayers`, or `distortion_field.RayLayers`."""
+    """Hidden layers with weights in one flat array: `TanhLayers`, or `distortion_field.RayLayers`."""
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Number of inputs, then of the units of each layer; the linear layer takes the values of the last."""
+        """Number of inputs, then of units of each layer; the linear layer takes the last layer's values."""
 
     def start(self, rng: np.random.Generator, size: FloatArray) -> FloatArray:
         """Draw random weights; `size` (variables,) multiplies the weights of each input."""
 
     def values(self, weights: FloatArray, inputs: FloatArray) -> list[FloatArray]:
-        """Return all layers' values for inputs (n, variables), the last (n, sizes[-1]); `gradient` needs them all."""
+        """Return all layers' values for inputs (n, variables), the last being (n, sizes[-1]); `gradient` needs all."""
 
     def gradient(self, weights: FloatArray, values: list[FloatArray], by_last: FloatArray) -> FloatArray:
-        """Return the derivative (weights,) of a loss by the weights, from that by the last values (n, sizes[-1])."""
+        """Return a loss's derivative (weights,) by the weights, from its derivative by last values (n, sizes[-1])."""
 
 
 @dataclass(frozen=True)
 class TanhLayers:
-    """Fully connected layers of tanh units whose weights are one flat array.
+    """Fully connected layers of tanh units with weights in one flat array.
 
     Attributes:
         sizes: numbers of inputs and of the units of each layer.
@@ -61,11 +61,11 @@ class TanhLayers:
 
     @property
     def numbers(self) -> int:
-        """Weights and biases."""
+        """Number of weights and biases."""
         return sum((before + 1) * after for before, after in pairwise(self.sizes))
 
     def start(self, rng: np.random.Generator, size: FloatArray) -> FloatArray:
-        """Draw random weights (numbers,) for inputs within -1..1; `size` (sizes[0],) has a factor for each input."""
+        """Draw random weights (numbers,) for inputs within -1..1; `size` (sizes[0],) holds a factor for each input."""
         parts = []
         for before, after in pairwise(self.sizes):
             parts += [rng.normal(0.0, before**-0.5, (before, after)), rng.uniform(-1.0, 1.0, after)]
@@ -105,14 +105,14 @@ class TanhLayers:
 
 @dataclass(frozen=True, eq=False)
 class ProjectedLoss:
-    """Mean square that hidden layers, a trend and the best last layer leave of a target, by the hidden weights.
+    """Mean square residual of a target as a function of hidden weights, given a trend and the best last layer.
 
     target = sum over blocks b of multiplier_b ([hidden units, trend] @ coefficients_b).
 
     Attributes:
-        layers: the hidden ones.
+        layers: hidden layers.
         inputs: (n, variables), -1..1. trend: (n, terms).
-        multiplier: (n, blocks) with the weights of the rows.
+        multiplier: (n, blocks), including the weights of the rows.
         target: (n, outputs), weighted.
         decay: factor of the mean square of the hidden weights in the loss.
     """
@@ -128,12 +128,12 @@ class ProjectedLoss:
     def of(
         cls, samples: Samples, rows: IntArray, layers: Layers, degree: int, known: Polynomial | None
     ) -> "ProjectedLoss":
-        """Loss of some rows of samples.
+        """Return the loss of some rows of samples.
 
         Args:
-            samples: what to fit. rows: (n,) of them.
-            layers: the hidden ones.
-            degree: of the polynomial trend.
+            samples: samples to fit. rows: (n,) rows of the samples.
+            layers: hidden layers.
+            degree: degree of the polynomial trend.
             known: polynomial that is subtracted from the observed values first.
         """
         readings = samples.readings
@@ -142,7 +142,7 @@ class ProjectedLoss:
         return cls(layers, samples.scaled[rows], trend, multiplier, samples.target(known, rows))
 
     def __call__(self, weights: FloatArray) -> tuple[float, FloatArray]:
-        """Loss, and its gradient by the hidden weights (numbers,)."""
+        """Return the loss, and its gradient by the hidden weights (numbers,)."""
         values = self.layers.values(weights, self.inputs)
         design = self.design(values[-1])
         solution = self.solve(design)
@@ -158,22 +158,22 @@ class ProjectedLoss:
         return float(loss + decay * weights @ weights), gradient + 2.0 * decay * weights
 
     def design(self, units: FloatArray) -> FloatArray:
-        """Weighted columns (n, blocks * (units + terms)) of values (n, units) of the hidden layers."""
+        """Return weighted columns (n, blocks * (units + terms)) of the hidden layers' values (n, units)."""
         features = np.hstack([units, self.trend])
         return np.asarray((self.multiplier[:, :, None] * features[:, None]).reshape(len(features), -1))
 
     def solve(self, design: FloatArray) -> FloatArray:
-        """Solve the best last layer, (blocks * (units + terms), outputs)."""
+        """Solve for the best last layer (blocks * (units + terms), outputs)."""
         gram = design.T @ design / len(design)
         gram.flat[:: len(gram) + 1] += self._penalty()
         return np.asarray(cho_solve(cho_factor(gram), design.T @ self.target / len(design)))
 
     def solved(self, weights: FloatArray) -> FloatArray:
-        """Solve the best last layer (blocks * (units + terms), outputs) for hidden weights (numbers,)."""
+        """Solve for the best last layer (blocks * (units + terms), outputs), given hidden weights (numbers,)."""
         return self.solve(self.design(self.layers.values(weights, self.inputs)[-1]))
 
     def error(self, weights: FloatArray, solution: FloatArray) -> float:
-        """Mean square that hidden weights and a last layer of other rows leave of the target."""
+        """Return the mean square residual of the target for hidden weights and a last layer from other rows."""
         rest = self.design(self.layers.values(weights, self.inputs)[-1]) @ solution - self.target
         return float(np.sum(rest**2) / len(rest))
 
@@ -184,7 +184,7 @@ class ProjectedLoss:
 
 
 class _StopSearchError(Exception):
-    """Ends a search from its callback."""
+    """Exception with which a callback ends a search."""
 
 
 @dataclass
@@ -193,8 +193,8 @@ class TimedSearch:
 
     Attributes:
         deadline: `time.process_time` at which it ends.
-        best: weights of the least error so far.
-        error: error of `best`, as checked.
+        best: weights with the least error so far.
+        error: checked error of `best`.
     """
 
     deadline: float
@@ -210,8 +210,8 @@ class TimedSearch:
         """Search from `best`.
 
         Args:
-            loss: weights -> loss and its gradient.
-            check: weights -> error that decides which weights are the best.
+            loss: function of weights that returns the loss and its gradient.
+            check: function of weights that returns the error by which the best weights are chosen.
         """
         self.error = check(self.best)
         iterations, behind = 0, 0
@@ -243,7 +243,7 @@ def trained(
     first_rows: int = _FIRST_ROWS,
     rounding: float = _ROUNDING,
 ) -> NumericRegressor:
-    """Train hidden layers, and solve the last layer and a polynomial trend.
+    """Train hidden layers, and solve for the last layer and a polynomial trend.
 
     A fold of the camera positions is left out; its error stops the training of the hidden layers, which starts on a
     random part of the readings. The last layer is then solved on all readings.

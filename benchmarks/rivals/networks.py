@@ -2,8 +2,8 @@
 
 As a regressor in the structure "planar" this is the ray bundle's form of the neural distortion field (NDF; see
 `distortion_field`): the content of a pixel is constant along a ray, so that the field's sum along the ray is not
-needed. `network_training` has the layers and their training. Process time stops it, so that the results of `network`
-and `offset_network` depend on the speed of the machine.
+needed. `network_training` defines the layers and their training. Training ends after a process time, so that the
+results of `network` and `offset_network` depend on the speed of the machine.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from wlr_render.numerics.polynomial import Polynomial, basis, limited_orders
 
 _UNITS = (32, 32)
 _STATIC_DEGREE = 6
-_DECAYS = (1e-6, 1e-4, 1e-2)  # on the decoder's weights; held-out positions choose
+_DECAYS = (1e-6, 1e-4, 1e-2)  # decay of the decoder's weights, chosen by held-out positions
 _COUNTS = (3, 6, 10, 14)
 _DECODER_ITERATIONS = 60
 
@@ -40,7 +40,7 @@ def network(
 
 
 def offset_network(samples: Samples, seconds: float) -> NumericRegressor:
-    """Fit a network to the offset from a static map, the map of the camera position nearest to the centre of all.
+    """Fit a network to the offset from a static map, the map of the most central camera position.
 
     HUDNet (Displays, 2023) and direct distortion prediction (Yu et al., Applied Optics 62(21) 5720, 2023) do so for
     head-up displays in the structure "volumetric", according to their abstracts; their layers and losses differ.
@@ -61,14 +61,14 @@ def offset_network(samples: Samples, seconds: float) -> NumericRegressor:
 def decoded_components(samples: Samples) -> NumericRegressor:
     """Fit a decoder of maps: a network of the place gives the scores of the maps' principal components.
 
-    OSTNet (Someya et al., 2019) in form: a network that gives a distortion map for a viewpoint. Its own decoder was
-    larger; held-out positions choose the number of components and the decay of the weights.
+    It has the form of OSTNet (Someya et al., 2019): a network that returns a distortion map for a viewpoint. OSTNet's
+    decoder was larger; held-out positions choose the number of components and the decay of the weights.
     """
     return components_with_scores(samples, _COUNTS, _DECAYS, _decoder)
 
 
 def _decoder(place: FloatArray, scores: FloatArray, decay: float) -> tuple[Callable[[FloatArray], FloatArray], int]:
-    """Scores (k, count) as a network of places (k, variables), and its numbers."""
+    """Fit scores (k, count) by a network of places (k, variables); also return the number of its numbers."""
     hidden = TanhLayers((place.shape[1], *_UNITS))
     size = float(np.sqrt(np.mean(scores**2))) or 1.0
 

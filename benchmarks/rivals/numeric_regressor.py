@@ -1,4 +1,4 @@
-"""Regressors of which only values are known: tables, kernels and networks, in the place of a model's polynomial."""
+"""Regressors without analytic derivatives, in place of a model's polynomial: tables, kernels and networks."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ import numpy as np
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial
 
-_STEP = 1e-5  # step of the differences, relative to the box
-_CHUNK = 4_096  # inputs at once: kernels hold a number for each pair of input and centre
+_STEP = 1e-5  # step of the finite differences, relative to the box
+_CHUNK = 4_096  # number of inputs per block: kernels hold a number for each pair of input and centre
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,11 +17,11 @@ class NumericRegressor:
     """Any function, with derivatives by central differences.
 
     Attributes:
-        function: (m, variables) -> (m, outputs).
+        function: function of inputs (m, variables) that returns outputs (m, outputs).
         box: box of the inputs.
         outputs: number of outputs.
-        numbers: number of numbers that a file stores.
-        rounding: rounding error of the values, for values of about 1; tolerances of solves are not smaller.
+        numbers: number of numbers in a file.
+        rounding: rounding error of values of about 1, a lower bound of tolerances of solves.
     """
 
     function: Callable[[FloatArray], FloatArray]
@@ -49,7 +49,7 @@ class NumericRegressor:
         return self(inputs), np.stack(slopes, axis=-1)
 
     def held(self, axes: Sequence[int], inputs: FloatArray) -> "_HeldNumeric":
-        """Hold the variables `axes` at (n, axes)."""
+        """Hold the variables `axes` fixed at values (n, axes)."""
         return _HeldNumeric(self, tuple(axes), inputs)
 
 
