@@ -44,7 +44,6 @@ def with_one_light(scene: Scene, light: LightSource) -> Scene:
 
 
 @pytest.mark.parametrize("name", ["sculpture", "desk"])
-@pytest.mark.slow
 def test_hits_are_those_of_embree(mitsuba: ModuleType, name: str) -> None:
     scene = shipped_scene(name)
     origin, direction = fan_of_rays()

@@ -1,6 +1,7 @@
 """Prescriptions: the shipped ones are whole, units and frames are right, and faults are named in one sentence."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 from present import narrowed
 
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import normalised
 from wlr_render.io.atomic_files import shipped_names
 from wlr_render.optics.device import Device, Interaction
 from wlr_render.optics.device_file import load_device
-from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM, Medium
+from wlr_render.optics.media import AIR, FRAUNHOFER_F_D_C_UM, Medium
 from wlr_render.optics.raised import Offset
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Asphere, SagSurface, SumOfProfiles, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Conic
@@ -416,3 +418,32 @@ def test_a_model_given_as_a_device_is_named_as_one(tmp_path: Path, monkeypatch: 
     for spec in (tmp_path / name, name):
         with pytest.raises(BadInputError, match=rf"{name}: is a model file, .* a device is needed: .* render, export"):
             load_device(spec)
+
+
+def test_media_change_in_both_paths_and_air_stays_air() -> None:
+    eye = load_device("birdbath28").eyes["right"]
+    changed = eye.with_media(lambda medium: medium.shifted(0.02).shifted(-0.005))
+    for path, before in ((changed.display, eye.display), (changed.see_through, eye.see_through)):
+        for step, old in zip(path.steps, before.steps, strict=True):
+            assert step.surface is old.surface
+            assert step.interaction is old.interaction
+            rise = step.medium.index(0.5) - old.medium.index(0.5)
+            assert abs(rise - (0.0 if old.medium is AIR else 0.015)) < 1e-15
+            assert step.medium.name == old.medium.name
+    assert {step.medium.name for step in changed.display.steps} == {"pmma", "air"}
+
+
+@pytest.mark.parametrize("curvature", [(0.0, 0.0), (0.8, -0.5), (-6.0, 3.0)])
+def test_rays_to_points_of_a_bowed_panel_find_their_pixels(curvature: tuple[float, float]) -> None:
+    panel = replace(load_device("northstar").eyes["right"].panel, curvature=np.array(curvature))
+    rng = np.random.default_rng(1)
+    pixel = rng.uniform(0.0, 1.0, (200, 2)) * panel.pixels.size_px
+    point, normal = panel.point_of_pixel(pixel), panel.device_from_panel[:3, 2]
+    direction = normalised(normal + rng.uniform(-0.3, 0.3, (200, 3)))
+    np.testing.assert_allclose(panel.pixel_of_ray(point - 0.05 * direction, direction), pixel, atol=1e-9)
+    assert np.isnan(panel.pixel_of_ray(point + 0.05 * direction, direction)).all()
+    height = (point - panel.device_from_panel[:3, 3]) @ normal
+    half = 0.5 * panel.size * [1.0, 0.0]
+    edge = panel.point_of_pixel(panel.pixels.size_px * [1.0, 0.5]) - panel.device_from_panel[:3, 3]
+    assert edge @ normal == pytest.approx(0.5 * curvature[0] * half[0] ** 2, abs=1e-15)
+    assert np.ptp(height) > 0.0 or curvature == (0.0, 0.0)

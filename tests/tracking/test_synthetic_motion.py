@@ -4,6 +4,7 @@ from present import narrowed
 from wlr_render.geometry import directions
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking import synthetic
+from wlr_render.tracking.minimum_jerk import minimum_jerk
 from wlr_render.tracking.trajectory import GazeTrack
 
 VIEWPOINTS = {"left": np.array([-0.032, 0, -0.03]), "right": np.array([0.032, 0, -0.03])}
@@ -44,3 +45,19 @@ def test_the_eyes_fixate_and_leap_and_their_gazes_meet() -> None:
     np.testing.assert_allclose(normal @ between, 0, atol=1e-16)
     converging = directions.tangents_of_dir(left.gaze_dir) - directions.tangents_of_dir(right.gaze_dir)
     assert converging[:, 0].min() > 0.064 / 3.1
+
+
+def test_it_goes_all_the_way_without_turning_back_and_is_the_same_backwards() -> None:
+    x = np.linspace(0, 1, 101)
+    way = minimum_jerk(x)
+    assert (way[0], way[-1]) == (0.0, 1.0)
+    assert np.all(np.diff(way) > 0)
+    np.testing.assert_allclose(way + way[::-1], 1.0, atol=1e-15)
+
+
+def test_at_both_ends_it_is_at_rest_and_without_acceleration() -> None:
+    step = 1e-4
+    for end in (0.0, 1.0):
+        before, at, after = minimum_jerk(end - step), minimum_jerk(end), minimum_jerk(end + step)
+        assert abs(after - before) / (2 * step) < 1e-6
+        assert abs(after - 2 * at + before) / step**2 < 1e-6

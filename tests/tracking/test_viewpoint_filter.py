@@ -44,7 +44,6 @@ samples = st.none() | st.tuples(coordinates, coordinates, coordinates)
 steps = st.lists(st.tuples(st.floats(0.0, 0.15), samples, st.floats(0, 1)), min_size=1, max_size=60)
 
 
-@pytest.mark.slow
 @given(steps)
 @settings(max_examples=200, deadline=None)
 def test_whatever_comes_the_viewpoint_is_among_the_usable_samples_or_nominal(stream: Any) -> None:

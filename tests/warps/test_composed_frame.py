@@ -1,9 +1,14 @@
-"""A composed frame shows, at every display pixel, what that pixel's exact ray meets; so does a corrected one."""
+"""A composed frame shows, at every display pixel, what the exact ray of each of its colours meets; so does a corrected one."""
+
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 import pytest
+from flat_image import PrismPlate
 from gl_scenes import at
 from hardware import allowed, snap_arcmin
+from present import narrowed
 from warps.composing import (
     CONTEXTS,
     HEAD,
@@ -20,10 +25,12 @@ from warps.composing import (
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.draw.ray_tracing import RayRenderer
-from wlr_render.geometry import transforms
-from wlr_render.mappings import Eye
+from wlr_render.geometry import directions, transforms
+from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult
 from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.warp.composed_frame import ComposedFrame
 from wlr_render.warp.compositor import Compositor
+from wlr_render.warp.raster_camera import EyePlan
 
 LATE = HEAD @ at(
     0.004,
@@ -77,7 +84,6 @@ def test_it_shows_what_the_exact_rays_meet(compositor: Make, renderer: RayRender
 
 
 @pytest.mark.gl
-@pytest.mark.slow
 def test_a_lattice_coarser_than_the_display_is_within_its_bound(compositor: Make, renderer: RayRenderer) -> None:
     composed = compositor(planar(), (300, 330), context="egl")
     chosen = composed.plan("right").warp_grid
@@ -86,7 +92,6 @@ def test_a_lattice_coarser_than_the_display_is_within_its_bound(compositor: Make
     assert misplaced.max() < allowed(composed.context, chosen.bound_arcmin + MOST_ARCMIN, snapped)
 
 
-@pytest.mark.slow
 @pytest.mark.gl
 def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(
     compositor: Make, renderer: RayRenderer, headset: Eye
@@ -99,7 +104,6 @@ def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(
     assert np.median(uncorrected) > 20
 
 
-@pytest.mark.slow
 @pytest.mark.gl
 def test_corrections_do_not_depend_on_each_other(compositor: Make, headset: Eye) -> None:
     composed = compositor(headset)
@@ -140,3 +144,66 @@ def test_a_raster_camera_at_the_viewpoint_gives_the_same_points(
     assert np.linalg.norm(places[0] - places[1]) > 1e-4
     misplaced, _, snapped = compared(paper, renderer, headset, (HEAD, seen))
     assert misplaced.max() < allowed(paper.context, MOST_ARCMIN, snapped)
+
+
+@pytest.mark.gl
+def test_each_colour_is_what_its_own_models_rays_meet(compositor: Make, flat_image_headset: Eye) -> None:
+    see_through = narrowed(flat_image_headset.see_through, PrismPlate)
+    colours = [
+        replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.02, 0.0, 0.02)
+    ]
+    together, renderer, at = (
+        compositor({"right": colours}),
+        RayRenderer(scene()),
+        viewpoint(colours[0]),
+    )
+    (camera,) = draw(together, SceneSource(together, scene()), HEAD, at).values()
+    picture = together.compose().read().astype(int)
+    for channel, model in enumerate(colours):
+        truth = traced(model, together.size_px, at, HEAD, renderer)
+        eye, drawn_from = transforms.apply(HEAD, at), camera.view.position_in_world
+        clear = clear_of_edges(truth, renderer, eye, drawn_from, HEAD, reach_px=1)
+        difference = np.abs(picture - truth.colour)[clear].max(axis=0)
+        assert clear.mean() > 0.5
+        assert difference[channel] <= 2
+        assert np.delete(difference, channel).max() > 40
+
+
+def composed(compositor: Compositor, model: Eye) -> ComposedFrame:
+    draw(compositor, SceneSource(compositor, scene()), HEAD, viewpoint(model))
+    return compositor.compose()
+
+
+@pytest.mark.gl
+def test_three_models_alike_are_one(compositor: Make, flat_image_headset: Eye) -> None:
+    models = flat_image_headset, [flat_image_headset] * 3
+    alone, together = (composed(compositor({"right": given}), flat_image_headset) for given in models)
+    np.testing.assert_array_equal(together.read(), alone.read())
+    assert together.unsolved()["right"] == {name: 3 * count for name, count in alone.unsolved()["right"].items()}
+
+
+@dataclass(frozen=True)
+class Rippled:
+    """A display whose directions swing to and fro along the panel's rows."""
+
+    whole: DisplayMapping
+
+    @property
+    def panel(self) -> Panel:
+        return self.whole.panel
+
+    def view_dir_of_pixel(self, pixel: FloatArray, at: FloatArray, warm_start: object = None) -> QueryResult:
+        answer = self.whole.view_dir_of_pixel(pixel, at)
+        swing = 1e-4 * np.sin(40 * np.asarray(pixel)[..., 0] / self.panel.width_px)
+        value = directions.normalised(answer.value + swing[..., None] * [1.0, 0.0, 0.0])
+        return replace(answer, value=value)
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_the_most_curved_colour_says_how_fine_the_lattice_is(flat_image_headset: Eye, place: int) -> None:
+    colours = [flat_image_headset] * 3
+    colours[place] = replace(flat_image_headset, display=cast(DisplayMapping, Rippled(flat_image_headset.display)))
+    flat, together = (
+        EyePlan.of(models, (72, 60), 1.0).warp_grid.cell_px for models in ((flat_image_headset,), tuple(colours))
+    )
+    assert (together < 0.95 * flat).all()

@@ -120,7 +120,6 @@ def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(compositor
     assert np.abs(share_of_inset(frame, camera, inset) - share[..., 0])[share[..., 0] >= 0].max() < 0.02
 
 
-@pytest.mark.slow
 def test_edges_are_as_sharp_as_the_insets_depth(compositor: Make) -> None:
     model, renderer = planar(), RayRenderer(scene())
     truth = traced(model, SIZE, viewpoint(model), LATER, renderer)
@@ -146,7 +145,6 @@ def test_edges_are_as_sharp_as_the_insets_depth(compositor: Make) -> None:
     assert np.abs(shown["inset"].astype(int) - truth.colour)[clear].max() <= 3
 
 
-@pytest.mark.slow
 def test_an_inset_in_an_inset_and_frames_without(compositor: Make) -> None:
     model = planar()
     made, camera = begun(compositor, model, panel=FLOATS)
@@ -316,7 +314,6 @@ def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor: Ma
         made.submit(raster.draw_on_gpu(inset.view, "same"), camera=inset)
 
 
-@pytest.mark.slow
 def test_prepared_compositors_compile_nothing_for_insets(compositor: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     made, camera = begun(compositor, planar(), context="egl")
     made.prepare(overlays=0, insets=True)

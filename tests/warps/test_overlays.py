@@ -73,9 +73,7 @@ def test_an_overlay_takes_no_memory_for_a_depth(
     assert ((50, 30), 1) not in formats
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["planar", "flat image", "three"])
-@pytest.mark.parametrize("is_head_locked", [False, True])
+@pytest.mark.parametrize(("kind", "is_head_locked"), [("planar", False), ("flat image", True), ("three", False)])
 def test_a_quad_lies_where_the_traced_rays_meet_it(
     compositor: Make, flat_image_headset: Eye, kind: str, is_head_locked: bool
 ) -> None:

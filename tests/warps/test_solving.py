@@ -14,6 +14,8 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.warp.composed_frame import ComposedFrame
 from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
 
+pytestmark = pytest.mark.gl
+
 
 @pytest.fixture
 def solved_at(monkeypatch: pytest.MonkeyPatch) -> list[object]:
@@ -38,8 +40,6 @@ def slope_offset(frame: ComposedFrame) -> FloatArray:
     return field.read().slope_offset.astype(np.float64)
 
 
-@pytest.mark.slow
-@pytest.mark.gl
 def test_a_resting_pupil_is_solved_once(compositor: Make, headset: Eye, solved_at: list[object]) -> None:
     made = compositor(headset)
     source, seen = SceneSource(made, scene()), viewpoint(headset)
@@ -58,7 +58,6 @@ def test_a_resting_pupil_is_solved_once(compositor: Make, headset: Eye, solved_a
     np.testing.assert_array_equal(slope_offset(made.compose()), first)
 
 
-@pytest.mark.gl
 def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(
     seen: FloatArray, compositor: Make, flat_image_headset: Eye
 ) -> None:
@@ -97,7 +96,6 @@ def troubled(flat_image_headset: Eye) -> Eye:
     return replace(flat_image_headset, display=cast(DisplayMapping, Troubled(flat_image_headset.display)))
 
 
-@pytest.mark.gl
 def test_what_did_not_converge_is_named_counted_and_left_black(compositor: Make, troubled: Eye) -> None:
     made = compositor(troubled, background=(9, 8, 7))
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(troubled))
@@ -114,7 +112,6 @@ def test_what_did_not_converge_is_named_counted_and_left_black(compositor: Make,
     assert (status[:, SMALL[0] // 2 :] == 0).mean() > 0.95
 
 
-@pytest.mark.gl
 def test_a_pupil_for_which_nothing_converges_keeps_the_last_map_and_is_counted(compositor: Make, troubled: Eye) -> None:
     made = compositor(troubled)
     source, seen = SceneSource(made, scene()), viewpoint(troubled)

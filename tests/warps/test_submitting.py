@@ -20,6 +20,8 @@ from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.stored_picture import DepthKind, Rows, StoredDepth
 
+pytestmark = pytest.mark.gl
+
 INVERSE = StoredDepth(DepthKind.INVERSE)
 WINDOW, REVERSED = StoredDepth(DepthKind.WINDOW, 0.1, 5.0), StoredDepth(DepthKind.WINDOW, np.inf, 0.1)
 TURNED = HEAD @ at(0.02, 0, 0)  # so that depth tells where things go
@@ -54,7 +56,6 @@ def bad_arrays(size: tuple[int, int]) -> tuple[tuple[tuple[Any, ...], str], ...]
     )
 
 
-@pytest.mark.gl
 def test_a_picture_that_is_none_is_told_in_a_sentence_and_the_right_one_is_taken_then(
     made: Compositor, flat_image_headset: Eye
 ) -> None:
@@ -70,7 +71,6 @@ def test_a_picture_that_is_none_is_told_in_a_sentence_and_the_right_one_is_taken
     np.testing.assert_array_equal(made.compose().read(), expected)
 
 
-@pytest.mark.gl
 def test_a_gpu_picture_of_elsewhere_is_told_in_a_sentence(
     compositor: Make, flat_image_headset: Eye, gl_context: GlContext
 ) -> None:
@@ -100,7 +100,6 @@ def test_a_gpu_picture_of_elsewhere_is_told_in_a_sentence(
     assert made.compose().read().std() > 5
 
 
-@pytest.mark.gl
 def test_a_picture_that_overwrote_the_other_eyes_is_refused(compositor: Make, flat_image_headset: Eye) -> None:
     models = {"left": replace(flat_image_headset, eye="left"), "right": flat_image_headset}
     made, seen = compositor(models, context="egl"), viewpoint(flat_image_headset)
@@ -113,7 +112,6 @@ def test_a_picture_that_overwrote_the_other_eyes_is_refused(compositor: Make, fl
     assert made.compose().read("right").std() > 5
 
 
-@pytest.mark.gl
 def test_an_engine_may_write_over_what_it_has_submitted(made: Compositor, seen: FloatArray) -> None:
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
@@ -123,7 +121,6 @@ def test_an_engine_may_write_over_what_it_has_submitted(made: Compositor, seen: 
     assert np.median(made.compose().read()) == 90
 
 
-@pytest.mark.gl
 def test_words_do_not_stand_for_kinds_and_rows(made: Compositor, seen: FloatArray) -> None:
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
@@ -141,7 +138,6 @@ def test_words_do_not_stand_for_kinds_and_rows(made: Compositor, seen: FloatArra
         StoredDepth(no_kind, 0.05, np.inf)
 
 
-@pytest.mark.gl
 @pytest.mark.parametrize("stored", [StoredDepth(), INVERSE, WINDOW, REVERSED], ids=lambda stored: stored.kind.name)
 def test_a_depth_that_is_no_number_is_background_and_changes_only_its_neighbourhood(
     made: Compositor, seen: FloatArray, stored: StoredDepth
@@ -176,7 +172,6 @@ def test_a_depth_that_is_no_number_is_background_and_changes_only_its_neighbourh
         np.testing.assert_array_equal(source_with(value, everywhere), source_with(nothing, everywhere))
 
 
-@pytest.mark.gl
 def test_depths_that_are_no_distance_are_refused(made: Compositor, seen: FloatArray) -> None:
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
@@ -203,7 +198,6 @@ def test_depths_that_are_no_distance_are_refused(made: Compositor, seen: FloatAr
             StoredDepth(DepthKind.WINDOW, 0.1, 5.0, *ends)
 
 
-@pytest.mark.gl
 def test_depths_in_textures_that_are_no_distance_are_background(compositor: Make, flat_image_headset: Eye) -> None:
     made, seen = compositor(flat_image_headset, context="egl"), viewpoint(flat_image_headset)
     source = SceneSource(made, scene())
@@ -233,7 +227,6 @@ def test_depths_in_textures_that_are_no_distance_are_background(compositor: Make
             np.testing.assert_array_equal(composed(stored, sound, value), expected)
 
 
-@pytest.mark.gl
 @pytest.mark.parametrize("on_gpu", [False, True])
 def test_pull_maps_of_colours_are_those_of_their_own_picture(
     compositor: Make, flat_image_headset: Eye, on_gpu: bool

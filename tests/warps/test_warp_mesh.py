@@ -66,7 +66,6 @@ def interpolated(mesh: WarpMesh, rays: Float32Array, places: FloatArray) -> Floa
     return np.stack([weight @ rays[mesh.triangles[around]] for weight, around in weights])
 
 
-@pytest.mark.slow
 def test_rays_inside_triangles_are_within_the_bound(eye: Eye, mesh: WarpMesh) -> None:
     place = np.random.default_rng(5).uniform(0, 1, (60, 2))
     axes = mesh.camera(np.eye(4), pupil(eye)).view.device_from_camera
@@ -82,14 +81,12 @@ def test_triangles_cover_the_panel_once(mesh: WarpMesh) -> None:
     assert {triangles_around(mesh, each)[1].size for each in places} == {1}
 
 
-@pytest.mark.slow
 def test_a_finer_tolerance_makes_a_finer_mesh(eye: Eye, mesh: WarpMesh) -> None:
     finer = WarpMesh(eye, (1440, 1600), tolerance_arcmin=0.0125)
     assert 3 < len(finer.triangles) / len(mesh.triangles) < 6
     assert finer.bound_arcmin <= 0.0125
 
 
-@pytest.mark.slow
 def test_a_mesh_is_no_finer_than_the_picture(eye: Eye) -> None:
     assert len(WarpMesh(eye, (18, 20), tolerance_arcmin=0.001).panel_position) <= 20 * 22
 
@@ -342,7 +339,6 @@ document.body.textContent = said.join(" ");
 
 
 @needs_browser
-@pytest.mark.slow
 def test_a_browser_links_the_warp_in_webgl_2(tmp_path: Path) -> None:
     texts = [[stage(f"{of}{kind}", "300 es") for kind in ("VERTEX", "FRAGMENT")] for of in ("TILES_", "")]
     page = tmp_path / "page.html"
