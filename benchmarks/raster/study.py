@@ -32,8 +32,7 @@ from wlr_render.jobs.options import (
 )
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.report.blocks import Block, Picture, Plot, Report, Section, cell_text, table
-from wlr_render.report.plots import heat_map
+from wlr_render.report.blocks import Block, Picture, Report, Section, cell_text, table
 from wlr_render.report.save import save_report
 from wlr_render.scene.image_files import write_map, write_png
 from wlr_render.scene.scene_file import load_scene, scene_path
@@ -123,7 +122,7 @@ def run(options: RasterOptions, *, progress: ProgressArgument = SILENT) -> Repor
             drawn = compared.write(output_folder(folder_of_eye(folder, eye, options.eye)), title)
             picture = Picture(f"Both frames and their difference, {eye} eye", drawn[-1], "Red: disoccluded.")
             figures = table(title, compared.figures.items(), COLUMNS, NOTES, name="method")
-            blocks += [Section(f"The {eye} eye"), figures, compared.plot(eye), picture]
+            blocks += [Section(f"The {eye} eye"), figures, picture]
             files += drawn
             verdicts.append(compared.verdict(eye))
             blank += [f"the frame of the {eye} eye"] if is_blank(compared.traced) else []
@@ -219,16 +218,6 @@ class _Compared:
         layers = (self.error.raster.registration_arcmin, self.error.disoccluded, self.error.raster.only_one)
         write_map(written[2], np.stack([np.asarray(layer, np.float32) for layer in layers], axis=-1))
         return [*written, self._draw(folder / "compare.png", title)]
-
-    def plot(self, eye: str) -> Plot:
-        """Plot the error map."""
-        title, angle = f"Registration error, {eye} eye", self.error.raster.registration_arcmin
-        caption = f"Error on the panel ({_FIRST}), disoccluded pixels included; empty without content."
-        low, high = ERROR_LIMITS_ARCMIN
-        decades = np.log10(np.maximum(angle, low))
-        return heat_map(
-            title, decades, "log10 arcmin", limits=(float(np.log10(low)), float(np.log10(high))), caption=caption
-        )
 
     def _draw(self, path: Path, title: str) -> Path:
         from matplotlib.colors import LogNorm

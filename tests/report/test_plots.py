@@ -4,22 +4,8 @@ import numpy as np
 from browser import needs_browser, open_page
 
 from wlr_render.report.blocks import Report
-from wlr_render.report.plots import MAX_CELLS, arrow_map, bars, block_maxima, curves, heat_map, small_heat_maps
+from wlr_render.report.plots import arrow_map, bars, curves, heat_map, small_heat_maps
 from wlr_render.report.save import save_report
-
-
-def test_a_large_map_keeps_its_worst_pixels_and_says_that_it_is_reduced() -> None:
-    values = np.zeros((3 * MAX_CELLS, 2 * MAX_CELLS + 1))
-    values[100, 2 * MAX_CELLS] = 7.0
-    values[30:33, 30:33] = np.nan
-    values[60:62, 60:63] = np.nan  # a row of the block is left
-    plot = heat_map("Error", values, "arcmin", caption="On the panel.")
-    cells = np.array(plot.data[0]["z"])
-    assert cells.shape == (MAX_CELLS, -(-(2 * MAX_CELLS + 1) // 3))
-    assert (cells[33, -1], np.isnan(cells[10, 10]), cells[20, 20]) == (7.0, True, 0.0)
-    assert np.isnan(cells).sum() == 1
-    np.testing.assert_allclose(plot.data[0]["x"][:2], [1.5, 4.5])
-    assert plot.caption == "On the panel. Each cell shows the maximum of 3 x 3 pixels."
 
 
 def test_grouped_curves_share_colours_by_group_and_dashes_by_kind() -> None:
@@ -28,10 +14,6 @@ def test_grouped_curves_share_colours_by_group_and_dashes_by_kind() -> None:
     (ax, ay, bx) = (trace["line"] for trace in plot.data)
     assert ax["color"] == ay["color"] != bx["color"]
     assert ax["dash"] == bx["dash"] != ay["dash"]
-
-
-def test_blocks_at_the_border_have_the_remaining_pixels() -> None:
-    np.testing.assert_array_equal(block_maxima(np.arange(15.0).reshape(3, 5), 2), [[6, 8, 9], [11, 13, 14]])
 
 
 def test_arrow_maps_have_one_scale_for_all_groups_and_a_reference_arrow() -> None:

@@ -17,9 +17,10 @@ from matplotlib.figure import Figure
 
 from wlr_render import __version__
 from wlr_render.io.atomic_files import write_figure
+from wlr_render.io.toml_files import json_text
 from wlr_render.report.blocks import Block, Estimate, Number, Picture, Plot, Report, ReportTable, Section, Text, table
 from wlr_render.report.plots import bars
-from wlr_render.report.records import json_text, to_jsonable
+from wlr_render.report.records import to_jsonable
 from wlr_render.report.save import markdown_table, save_report
 from wlr_render.scene.image_files import write_png
 
@@ -183,7 +184,7 @@ def test_numbers_of_a_list_share_a_line() -> None:
     value = {"x": [1.0, 2.5], "y": [], "z": [{"a": ["[ b\n  c", "]"]}], "w": [[1, 2], [3, 4]]}
     text = json_text(value)
     assert json.loads(text) == value
-    assert '"x": [1.0, 2.5],' in text
+    assert '"x": [1.0,2.5],' in text
 
 
 @pytest.mark.parametrize(

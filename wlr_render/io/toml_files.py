@@ -256,6 +256,18 @@ def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return content
 
 
+def json_text(value: Any, margin: str = "\n") -> str:
+    """Return JSON with a line for each entry, and lists without nested tables or lists on one line."""
+    if isinstance(value, dict) and value:
+        entries = [f"{json.dumps(key)}: {json_text(entry, margin + ' ')}" for key, entry in value.items()]
+        opening, closing = "{}"
+    elif isinstance(value, list) and any(isinstance(entry, dict | list) for entry in value):
+        entries, opening, closing = [json_text(entry, margin + " ") for entry in value], "[", "]"
+    else:
+        return json.dumps(value, allow_nan=False, separators=(",", ":"))
+    return f"{opening}{margin} " + f",{margin} ".join(entries) + f"{margin}{closing}"
+
+
 def read_toml(path: str | Path) -> Table:
     """Read a TOML file as a `Table`.
 

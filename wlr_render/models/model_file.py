@@ -32,7 +32,7 @@ from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.io.atomic_files import write_text
 from wlr_render.io.file_records import record_keys
 from wlr_render.io.input_files import as_bad_input
-from wlr_render.io.toml_files import Table, read_json
+from wlr_render.io.toml_files import Table, json_text, read_json
 from wlr_render.mappings import DisplayMapping, Eye, SeeThroughMapping
 from wlr_render.models.absent import ABSENT_DISPLAY, ABSENT_SEE_THROUGH, Absent
 from wlr_render.models.fitted_model import FittedModel
@@ -102,7 +102,7 @@ def save_eye_models(path: str | Path, models: Sequence[EyeModel]) -> Path:
         "device": devices.pop(),
         "eyes": [_eye_record(by_eye[eye]) for eye in sorted(by_eye)],
     }
-    return write_text(path, _json_text(record) + "\n")
+    return write_text(path, json_text(record) + "\n")
 
 
 def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, ...]:
@@ -208,15 +208,3 @@ def _check_header(table: Table) -> int:
         units.text(quantity, choices=[unit])
     units.finish()
     return version
-
-
-def _json_text(value: Any, margin: str = "\n") -> str:
-    """Return JSON with a line for each entry, and lists without nested tables or lists on one line."""
-    if isinstance(value, dict) and value:
-        entries = [f"{json.dumps(key)}: {_json_text(entry, margin + ' ')}" for key, entry in value.items()]
-        opening, closing = "{}"
-    elif isinstance(value, list) and any(isinstance(entry, dict | list) for entry in value):
-        entries, opening, closing = [_json_text(entry, margin + " ") for entry in value], "[", "]"
-    else:
-        return json.dumps(value, allow_nan=False, separators=(",", ":"))
-    return f"{opening}{margin} " + f",{margin} ".join(entries) + f"{margin}{closing}"

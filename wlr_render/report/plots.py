@@ -1,6 +1,5 @@
 """Builders of interactive plots: curves, bars, heat maps and arrow maps as Plotly traces."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,8 +9,6 @@ from numpy.typing import ArrayLike
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Plot
 
-MAX_CELLS = 200
-"""Largest number of cells of a heat map, across and down; more cells are too small to see and slow the page."""
 MAX_ARROWS = 200
 """Largest number of arrows in one group of a map; more arrows overlap."""
 _ALL_ARROWS = 5000  # most arrows in all groups together, for the sake of browsers; each group has at least 40
@@ -80,26 +77,21 @@ def heat_map(
 
     Args:
         title: one line.
-        values: one value per pixel; NaN leaves a cell empty. Large images are reduced to block maxima, and the caption
-            says so.
+        values: one value per pixel; NaN leaves a cell empty.
         unit: unit of the values.
         limits: values of the first and the last colour; None for the range of the values.
         cell: side of an image pixel, in panel pixels.
         caption: one sentence about the content.
     """
-    height, width = values.shape
-    block = max(1, -(-max(height, width) // MAX_CELLS))
-    cells = block_maxima(values, block)
     colours: dict[str, Any] = {"colorscale": "Viridis", "colorbar": {"title": {"text": unit}}}
     if limits is not None:
         colours |= {"zmin": limits[0], "zmax": limits[1]}
-    trace = _cells(cells, cells, cell * block, unit) | colours
+    trace = _cells(values, values, cell, unit) | colours
     layout = {
         "xaxis": axis("u (px)") | {"constrain": "domain"},
         "yaxis": axis("v (px)") | {"autorange": "reversed", "scaleanchor": "x", "constrain": "domain"},
     }
-    reduced = f" Each cell shows the maximum of {block} x {block} pixels." if block > 1 else ""
-    return Plot(title, [trace], layout, (caption + reduced).strip(), height_px=560)
+    return Plot(title, [trace], layout, caption, height_px=560)
 
 
 def small_heat_maps(
@@ -157,17 +149,6 @@ def _cells(values: FloatArray, shown: FloatArray, cell: float, unit: str, name: 
         "hovertemplate": f"%{{x:.0f}}, %{{y:.0f}}: %{{customdata:.3g}} {unit}<extra>{name}</extra>",
         "hoverongaps": False,
     }
-
-
-def block_maxima(values: FloatArray, block: int) -> FloatArray:
-    """Return the maxima of the square blocks of an image, ignoring NaN; a block of NaN only is NaN."""
-    rows, columns = (-(-size // block) * block for size in values.shape)
-    padded = np.full((rows, columns), np.nan)
-    padded[: values.shape[0], : values.shape[1]] = values
-    blocks = padded.reshape(rows // block, block, columns // block, block)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
-        return np.asarray(np.nanmax(blocks, axis=(1, 3)))
 
 
 def bars(title: str, names: Sequence[str], series: Mapping[str, ArrayLike], y_title: str, *, caption: str = "") -> Plot:

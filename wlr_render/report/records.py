@@ -2,9 +2,7 @@
 
 import dataclasses
 import enum
-import json
 import math
-import re
 from collections.abc import Mapping, Sequence, Set
 from pathlib import PurePath
 from typing import Any
@@ -46,12 +44,3 @@ def fields_of(record: Any) -> dict[str, Any]:
     """Return the fields of a dataclass that its JSON contains, unconverted."""
     kept = [field.name for field in dataclasses.fields(record) if field.metadata.get("json", True)]
     return {name: getattr(record, name) for name in kept}
-
-
-def json_text(value: object) -> str:
-    """Return a record as indented JSON text that ends with a newline; lists of plain values stay on one line."""
-    text = json.dumps(to_jsonable(value), indent=2, allow_nan=False)
-    return _PLAIN_LIST.sub(lambda match: "[" + re.sub(r"\n\s+", " ", match[1]) + "]", text) + "\n"
-
-
-_PLAIN_LIST = re.compile(r"\[\n\s+([^][{}]*?)\n\s+\]")
