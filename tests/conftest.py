@@ -246,7 +246,9 @@ def file_size_limit() -> Callable[[int], contextlib.AbstractContextManager[None]
         before = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
         try:
-            yield
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr("sys.dont_write_bytecode", True)  # Python 3.11 keeps a cache that was cut short
+                yield
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
