@@ -1,4 +1,4 @@
-"""A composed frame shows, at every display pixel, what the exact ray of each of its colours meets; so does a corrected one."""
+"""A composed frame, corrected or not, shows at every display pixel what the exact ray of each of its colours meets."""
 
 from dataclasses import dataclass, replace
 from typing import cast
