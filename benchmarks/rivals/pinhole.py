@@ -5,7 +5,7 @@
 - Display Relative Calibration (DRC): C. B. Owen, J. Zhou, A. Tang and F. Xiao, "Display-relative calibration for
   optical see-through head-mounted displays", ISMAR 2004.
 - INDICA: Y. Itoh and G. Klinker, "Interaction-free calibration for optical see-through head-mounted displays based on
-  3D eye localization", 3DUI 2014. The formulas are taken from the code that its authors published.
+  3D eye localization", 3DUI 2014. The formulas follow the authors' published code.
 """
 
 from collections.abc import Callable
@@ -27,22 +27,22 @@ from wlr_render.numerics.polynomial import Box
 
 _FEWEST_ALIGNMENTS = 6
 _FLAT = 1e-3  # largest thickness of points on a line or in a plane, over their widest extent
-_UNDETERMINED = 1e-7  # least singular value of a fit's scaled derivatives, of the largest
+_UNDETERMINED = 1e-7  # smallest ratio of a fit's singular values, of scaled derivatives
 _SPAAM_NUMBERS = 11
 
 
 def spaam(captures: Captures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
-    """Single Point Active Alignment Method (Tuceryan and Navab 2000): one 3 x 4 projection, for one eye position.
+    """Fit the Single Point Active Alignment Method (Tuceryan and Navab 2000): a 3 x 4 projection for one eye position.
 
     The world-to-pixel matrix comes from a direct linear transform with Hartley's normalisation, refined by least
     squares of the reprojection. Adapted: no user aligns; the see-through captures supply the points in the directions
     of the decoded pixels.
 
     Args:
-        captures: both parts, display and see-through, taken from the same positions.
+        captures: display and see-through captures from the same positions.
 
     Returns:
-        Display and see-through, which are meaningful together only: display backward after see-through backward is the
+        Display and see-through, which are meaningful only together: see-through backward, then display backward is the
         projection of a point to its pixel, for all viewpoints.
 
     Raises:
@@ -56,9 +56,9 @@ def spaam(captures: Captures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
 
 
 def spaam_redone(captures: Captures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
-    """SPAAM at each camera position, used with the position nearest to the viewpoint; see `spaam`.
+    """Fit SPAAM at each camera position; a viewpoint uses the nearest position; see `spaam`.
 
-    An upper bound for a user who aligns again after each motion of the headset.
+    It is the best case of a user who aligns again after each motion of the headset.
 
     Raises:
         BadInputError: as `spaam`, for any camera position.
@@ -68,7 +68,7 @@ def spaam_redone(captures: Captures) -> tuple[PinholeDisplay, FixedEyeSeeThrough
 
 
 def direct_plane(captures: DisplayCaptures) -> PinholeDisplay:
-    """Display Relative Calibration (Owen et al. 2004): a flat virtual image in space, 11 numbers.
+    """Fit Display Relative Calibration (Owen et al. 2004): a flat virtual image in space, 11 numbers.
 
     Adapted: the image is stored in homogeneous coordinates, so that it may lie at or beyond infinity; its axes need not
     be perpendicular; the fit minimises angles. The captures give the eye's position. The method ignores refraction in
@@ -87,10 +87,10 @@ def direct_plane(captures: DisplayCaptures) -> PinholeDisplay:
 
 
 def indica_full(captures: DisplayCaptures) -> PinholeDisplay:
-    """INDICA, full setup (Itoh and Klinker 2014): a rigid rectangular screen of known pose and pixel pitch, 8 numbers.
+    """Fit INDICA, full setup (Itoh and Klinker 2014): a rectangular screen of known pose and pixel pitch, 8 numbers.
 
     P = Q diag(ax, ay, 1) [[bz, 0, -bx], [0, bz, -by], [0, 0, 1]] [R | t], with b the screen's position relative to the
-    eye. Adapted: pose and pitch are fitted to captures, by angles. It looks straight through the combiner, see
+    eye. Adapted: pose and pitch are fitted to captures, by angles. It ignores refraction in the combiner, see
     `direct_plane`.
 
     Raises:
@@ -113,12 +113,12 @@ def indica_full(captures: DisplayCaptures) -> PinholeDisplay:
 
 
 def indica_recycle(captures: Captures) -> PinholeDisplay:
-    """INDICA, recycle setup (Itoh and Klinker 2014): SPAAM at one eye position, shifted by the screen's distance.
+    """Fit INDICA, recycle setup (Itoh and Klinker 2014): SPAAM at one eye position, shifted by the screen's distance.
 
     P = K_E0 K2 [R | t], K2 = [[z + dz, 0, -dx], [0, z + dz, -dy], [0, 0, z]] / z, with d the motion of the eye since
     SPAAM and z its distance from the screen. So the screen is a plane across SPAAM's optical axis, and K_E0 need not be
-    taken apart from R. Adapted: z, a manufacturer's figure there, is fitted to all display captures. It looks straight
-    through the combiner, see `direct_plane`.
+    separated from R. Adapted: z, there a manufacturer's figure, is fitted to all display captures. It ignores
+    refraction in the combiner, see `direct_plane`.
 
     Raises:
         BadInputError: as `spaam`, or all captures were taken at one position.
@@ -137,7 +137,7 @@ def indica_recycle(captures: Captures) -> PinholeDisplay:
 def _by_position(
     display: DisplayCaptures, see_through: SeeThroughCaptures, names: list[int]
 ) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
-    """SPAAM at camera positions of the display captures."""
+    """Fit SPAAM at camera positions of the display captures."""
     positions, matrices, eyes = [], [], []
     for name in names:
         here = select(display, display.capture == name)
@@ -155,7 +155,7 @@ def _by_position(
 
 
 def _alignments(display: DisplayCaptures, see_through: SeeThroughCaptures) -> tuple[FloatArray, FloatArray]:
-    """Pixels (n, 2) and the real points (n, 3) seen behind them, target by target, from one camera position."""
+    """Return pixels (n, 2) and the real points (n, 3) behind them, target by target, from one camera position."""
     near = np.linalg.norm(see_through.viewpoint - display.viewpoint[0], axis=1) <= EYE_BOX_MARGIN
     pixels, points = [np.empty((0, 2))], [np.empty((0, 3))]
     for pose in np.unique(see_through.target_pose[near]):
@@ -177,7 +177,7 @@ def fit_projection(pixel: FloatArray, point: FloatArray, where: str) -> FloatArr
     Args:
         pixel: (n, 2) px.
         point: (n, 3) real points, in any frame and unit of length.
-        where: name of the alignments in the error message.
+        where: name of the alignments for error messages.
 
     Returns:
         (3, 4) matrix from homogeneous points of that frame to homogeneous pixels; the third coordinate of its products
@@ -215,7 +215,7 @@ def fit_projection(pixel: FloatArray, point: FloatArray, where: str) -> FloatArr
 
 
 def _normalisation(points: FloatArray) -> FloatArray:
-    """Hartley's: homogeneous matrix that centres points (n, d) and scales their mean square to d."""
+    """Return Hartley's normalisation: a homogeneous matrix that centres points (n, d) with mean square scaled to d."""
     size, mean = points.shape[1], points.mean(axis=0)
     scale = np.sqrt(size / np.mean(np.sum((points - mean) ** 2, axis=1)))
     matrix = np.diag(np.append(np.full(size, scale), 1.0))
@@ -224,7 +224,7 @@ def _normalisation(points: FloatArray) -> FloatArray:
 
 
 def _start(captures: DisplayCaptures) -> tuple[Box, FloatArray, FloatArray]:
-    """Box of the pixels, scaled homogeneous pixels (n, 3), and the affine (2, 3) from these to the tangents.
+    """Return the pixels' box, scaled homogeneous pixels (n, 3), and the affine map (2, 3) from them to the tangents.
 
     Raises:
         BadInputError: there are fewer than two positions, or the pixels lie on one line.
@@ -254,13 +254,13 @@ def _fit_image(
     start: FloatArray,
     origin: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Matrix (3, 3) and inverse depth (3,) with the least angles to captures.
+    """Fit a matrix (3, 3) and an inverse depth (3,) with the least angles to captures.
 
     Args:
         captures: n readings of the panel.
-        pixel: (n, 3) their homogeneous pixels, scaled to the box or not.
-        image: parameters -> matrix and inverse depth, as in `PinholeDisplay`.
-        start: parameters to start from.
+        pixel: (n, 3) homogeneous pixels of the captures, scaled to the box or not.
+        image: function of parameters that returns matrix and inverse depth, see `PinholeDisplay`.
+        start: start parameters.
         origin: (3,) metres, position of the matrix; None for the eye box's centre.
     """
     shift = captures.viewpoint - (captures.eye_box.centre if origin is None else origin)
@@ -308,7 +308,7 @@ def _pixel_box(captures: DisplayCaptures) -> Box:
 
 
 def _spans(points: FloatArray, dimensions: int) -> bool:
-    """Return whether points (n, any) extend in at least this many dimensions."""
+    """Return whether points (n, any) extend in at least a number of dimensions."""
     if len(points) <= dimensions:
         return False
     extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

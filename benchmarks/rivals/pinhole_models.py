@@ -1,6 +1,6 @@
 """Models of a headset as a projector with a flat virtual image; see `pinhole` for the methods that fit them.
 
-The display maps the homogeneous pixel to a direction by one 3 x 3 matrix, which is linear in the viewpoint:
+The display maps homogeneous pixels to directions by a 3 x 3 matrix that is linear in the viewpoint:
 direction ~ (matrix - (viewpoint - position) inverse_depth^T) (u, v, 1). Without an inverse depth the image lies at
 infinity.
 """
@@ -25,12 +25,12 @@ class PinholeDisplay(FittedDisplay):
     Attributes:
         panel: the panel.
         eye_box: box of valid viewpoints; it affects the status only.
-        box: of the pixels (u px, v px) that it was fitted to.
-        position: (k, 3) metres.
-        matrix: (k, 3, 3) (u, v, 1) -> direction from there.
-        inverse_depth: (k, 3) (u, v, 1) -> homogeneous coordinate of the image point, 1/m in the unit of `matrix`; zero
-            for an image at infinity.
-        numbers: how many numbers have to be stored.
+        box: box of the pixels (u px, v px) of the fit.
+        position: (k, 3) camera positions, metres.
+        matrix: (k, 3, 3) maps from (u, v, 1) to the direction from each position.
+        inverse_depth: (k, 3) maps from (u, v, 1) to the homogeneous coordinate of the image point, 1/m in the unit of
+            `matrix`; zero for an image at infinity.
+        numbers: number of numbers to be stored.
     """
 
     panel: Panel
@@ -42,9 +42,9 @@ class PinholeDisplay(FittedDisplay):
     numbers: int
 
     def tangents(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """View tangents (m, 2) of pixels (m, 2) from viewpoints (m, 3) metres.
+        """Return the view tangents (m, 2) of pixels (m, 2) from viewpoints (m, 3), metres.
 
-        They are NaN where a pixel lies behind the viewpoint.
+        They are NaN if a pixel lies behind the viewpoint.
         """
         direction = np.einsum("nij,nj->ni", self._matrices(viewpoint), homogeneous(pixel))
         return np.asarray(direction[:, :2] / np.where(direction[:, 2:] < 0.0, -direction[:, 2:], np.nan))
@@ -54,7 +54,7 @@ class PinholeDisplay(FittedDisplay):
 
     def _backward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         first, second, third = np.moveaxis(self._matrices(viewpoint), -1, 0)
-        # The inverse without its determinant, which is zero where the viewpoint lies in the image.
+        # The inverse without division by the determinant, which is zero for a viewpoint in the image.
         adjugate = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=1)
         determinant = np.sum(first * adjugate[:, 0], axis=1, keepdims=True)
         seen = np.einsum("nij,nj->ni", adjugate, joined(tangents, -np.ones((len(tangents), 1))))
@@ -62,7 +62,7 @@ class PinholeDisplay(FittedDisplay):
         return Answer(pixel, self.box.contains(pixel))
 
     def _matrices(self, viewpoint: FloatArray) -> FloatArray:
-        """(m, 3, 3) at viewpoints (m, 3)."""
+        """Return the matrices (m, 3, 3) at viewpoints (m, 3)."""
         index = _nearest(self.position, viewpoint)
         shift = viewpoint - self.position[index]
         return np.asarray(self.matrix[index] - shift[:, :, None] * self.inverse_depth[index][:, None, :])
@@ -70,14 +70,14 @@ class PinholeDisplay(FittedDisplay):
 
 @dataclass(frozen=True, eq=False)
 class FixedEyeSeeThrough(FittedSeeThrough):
-    """`SeeThroughMapping` of straight rays to one eye for each camera position, wherever the viewpoint is near it.
+    """`SeeThroughMapping` of straight rays to one eye for each camera position; a viewpoint uses the nearest position.
 
-    With the display of SPAAM, which lumps both sides of the headset, it gives the projection that SPAAM fits.
+    Together with SPAAM's display, which does not separate display and see-through, it gives SPAAM's projection.
 
     Attributes:
         eye_box: box of valid viewpoints; it affects the status only.
-        position: (k, 3) metres; a viewpoint uses the nearest.
-        eye: (k, 3) metres, where the eye is taken to be.
+        position: (k, 3) camera positions, metres.
+        eye: (k, 3) assumed positions of the eye, metres.
     """
 
     eye_box: EyeBox
@@ -95,11 +95,11 @@ class FixedEyeSeeThrough(FittedSeeThrough):
 
 
 def _nearest(position: FloatArray, viewpoint: FloatArray) -> IntArray:
-    """Index (m,) of the position (k, 3) nearest to viewpoints (m, 3); 0 for viewpoints that are not finite."""
+    """Return the index (m,) of the position (k, 3) nearest to viewpoints (m, 3); 0 for non-finite viewpoints."""
     finite = np.where(np.isfinite(viewpoint), viewpoint, 0.0)
     return np.asarray(cKDTree(position).query(finite)[1], np.int64)
 
 
 def homogeneous(points: FloatArray) -> FloatArray:
-    """Points (n, d) with a last column of ones, (n, d + 1)."""
+    """Append a column of ones to points (n, d): (n, d + 1)."""
     return joined(points, np.ones((len(points), 1)))

@@ -3,7 +3,7 @@
 F. Wientapper, H. Wuest, P. Rojtberg and D. Fellner, "A camera-based calibration for automotive augmented reality
 head-up-displays", ISMAR 2013: a view-independent virtual plane, and a "generic five-variate" polynomial of pixel and
 head position on top. With the point on the base plane in place of the position it has four variables: the bundled
-variant, which is not theirs.
+variant, which they did not publish.
 """
 
 import numpy as np
@@ -28,11 +28,11 @@ def wientapper_display(
 
     Args:
         captures: of the panel, from two or more camera positions.
-        bundled: whether the polynomial is of pixel and point on the base plane, instead of pixel and viewpoint.
-        degree: total degree of the polynomial; None for the one with the least error at held-out positions.
+        bundled: True for a polynomial of pixel and point on the base plane, instead of pixel and viewpoint.
+        degree: total degree of the polynomial; None for the degree with the least error at held-out positions.
 
     Returns:
-        The display, and image and polynomial as its regressor.
+        The display, and its regressor, which consists of image and polynomial.
 
     Raises:
         BadInputError: the captures do not determine the virtual image.
@@ -59,7 +59,7 @@ def wientapper_display(
 def wientapper_see_through(captures: SeeThroughCaptures, bundled: bool = False) -> tuple[FittedSeeThrough, Regressor]:
     """Fit a polynomial of the see-through deviation; see `wientapper_display`.
 
-    Adapted: the paper corrects a display in front of a windscreen that is taken to be clear; this is its polynomial, in
+    Adapted: the paper corrects a display and assumes that the windscreen does not refract; this is its polynomial, in
     the same structure as the display's.
 
     Raises:

@@ -25,8 +25,8 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import basis
 
 _COLUMNS, _ROWS = 25, 21
-_SLACK = 0.05  # margin around the decoded region at a position, over its size: about the distance between its pixels
-_BASELINE_M = 0.5e-3  # rms distance of the positions of a pixel from their mean, at least
+_SLACK = 0.05  # margin around the decoded region of a position, over its size: about the distance of its pixels
+_BASELINE_M = 0.5e-3  # smallest rms distance of a pixel's camera positions from their mean
 
 
 def klemm_grid(captures: DisplayCaptures, columns: int = _COLUMNS, rows: int = _ROWS) -> PointPerPixelDisplay:
@@ -35,11 +35,11 @@ def klemm_grid(captures: DisplayCaptures, columns: int = _COLUMNS, rows: int = _
     A node's point is the one nearest to its rays from all camera positions. Adapted: each position's map is a
     polynomial that gives the ray of a node, where the paper decodes every pixel; points are stored as tangents and
     inverse depth, so that an image may lie at infinity, and their angles are minimised; nodes that fewer than two
-    positions see continue the others by thin plates. A see-through counterpart was not published; combine it with a
+    positions see are extrapolated by thin plates. A see-through counterpart was not published; combine it with a
     static see-through model.
 
     Args:
-        captures: of two camera positions or more.
+        captures: captures from two or more camera positions.
         columns, rows: numbers of nodes of the grid over the decoded part of the panel.
 
     Raises:
@@ -76,18 +76,18 @@ def _within(nodes: FloatArray, pixel: FloatArray) -> FloatArray:
     centre = 0.5 * (pixel.min(axis=0) + pixel.max(axis=0))
     try:
         hull = Delaunay(pixel)
-    except QhullError:  # all on one line
+    except QhullError:  # all pixels are on one line
         return np.zeros(len(nodes))
     return np.asarray(hull.find_simplex(centre + (nodes - centre) / (1.0 + _SLACK)) >= 0, np.float64)
 
 
 def _points(tangents: FloatArray, crossing: FloatArray, seen: FloatArray) -> FloatArray:
-    """Least squares of t = a - w q over the positions that see a node: (n, 3) a and w, NaN for nodes without a point.
+    """Solve t = a - w q by least squares over the positions that see a node: (n, 3) a and w, NaN without a point.
 
     Args:
         tangents: (k, n, 2) t of the nodes from k positions.
-        crossing: (k, n, 2) q, where their rays cross the nominal plane.
-        seen: (k, n) 1 or 0.
+        crossing: (k, n, 2) q, at which the nodes' rays cross the nominal plane.
+        seen: (k, n) 1 if a position sees a node, else 0.
     """
     weight = (seen * angular_metric(tangents) ** 2)[..., None]
     total = weight.sum(axis=0)

@@ -1,4 +1,4 @@
-"""Which method carries over from two eye reliefs of a lens to a third."""
+"""Transfer of methods from two eye reliefs of a lens to a third."""
 
 import numpy as np
 
@@ -10,12 +10,12 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
 
 FIELD_DEG = 30.0
-"""Half angle of the field that is tested."""
-_FITTED_DEG = 35.0  # field of the fit, larger than the tested field, so that no method is judged at the fit's edge
+"""Half angle of the tested field."""
+_FITTED_DEG = 35.0  # half angle of the fit, larger than the tested field, so that no method is judged at the fit's edge
 
 
 def relief_table(captures: DisplayCaptures) -> ReportTable:
-    """Errors at each eye relief of models fitted to the others, rms over the tested field.
+    """Tabulate errors at each eye relief of models fitted to the other reliefs, rms over the tested field.
 
     Args:
         captures: one camera position for each eye relief, on the lens axis.

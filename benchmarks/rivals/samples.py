@@ -22,19 +22,19 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial, basis, term_count, total_degree
 
 FOLDS = 5
-"""Parts of the camera positions, each of which is left out once to choose hyperparameters."""
+"""Number of folds of the camera positions; each fold is left out once to choose hyperparameters."""
 _MOST_COLUMNS = 520  # most columns of a polynomial's equations: degree 5 or 6 in five variables, 6 to 8 in four
 
 Solutions = Callable[[FloatArray, FloatArray], Iterable[FloatArray]]
-"""Design (m, columns), target (m, outputs) -> solutions (columns, outputs), one for each setting."""
+"""Function of design (m, columns) and target (m, outputs); returns solutions (columns, outputs), one per setting."""
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """observed = sum over blocks b of multiplier_b f_b(inputs): one block for a display, A and B for see-through.
+    """Readings of sum over blocks b of multiplier_b f_b(inputs): one block for a display, A and B for see-through.
 
     Attributes:
-        readings: of the captures, in a structure.
+        readings: readings of the captures, in a structure.
         position: (n,) index of the camera position, 0..positions - 1.
     """
 
@@ -51,29 +51,29 @@ class Samples:
 
     @property
     def is_place(self) -> BoolArray:
-        """(variables,) whether an input is of the place."""
+        """(variables,) whether an input belongs to the place."""
         return self.readings.is_place
 
     @cached_property
     def scaled(self) -> FloatArray:
-        """(n, variables) inputs, -1..1."""
+        """Inputs (n, variables) scaled to -1..1."""
         return self.readings.box.scaled(self.readings.inputs)
 
     @cached_property
     def fold(self) -> IntArray:
-        """(n,) fold of each row: whole positions stay together, the rows of a single one are dealt out."""
+        """(n,) fold of each row: the rows of a position stay together, unless there are too few positions."""
         positions = int(self.position.max()) + 1
         if positions < FOLDS:
             return np.asarray(np.random.default_rng(0).permutation(len(self)) % FOLDS)
         return np.asarray((np.random.default_rng(0).permutation(positions) % FOLDS)[self.position])
 
     def design(self, features: FloatArray, rows: slice | IntArray = slice(None)) -> FloatArray:
-        """Weighted columns (m, blocks * k) of features (m, k) at some rows."""
+        """Return weighted columns (m, blocks * k) of features (m, k) at some rows."""
         weighted = self.readings.multiplier[rows] * self.readings.weight[rows, None]
         return np.asarray((weighted[:, :, None] * features[:, None]).reshape(len(features), -1))
 
     def target(self, trend: Regressor | None = None, rows: slice | IntArray = slice(None)) -> FloatArray:
-        """Weighted observed values (m, 2) at some rows, less a trend."""
+        """Return weighted observed values (m, 2) at some rows, less a trend."""
         rest = self.readings.observed
         if trend is not None:
             value = trend(self.readings.inputs).reshape(len(self), self.readings.blocks, 2)
@@ -81,7 +81,7 @@ class Samples:
         return np.asarray((rest * self.readings.weight[:, None])[rows])
 
     def by_block(self, coefficients: FloatArray) -> FloatArray:
-        """Coefficients (blocks * k, 2) of `design` as (k, outputs)."""
+        """Return coefficients (blocks * k, 2) of `design` as (k, outputs)."""
         blocks = self.readings.blocks
         return coefficients.reshape(blocks, -1, 2).transpose(1, 0, 2).reshape(-1, 2 * blocks)
 
@@ -93,7 +93,7 @@ class Samples:
     def solve(
         self, features: FloatArray, rows: slice | IntArray = slice(None), trend: Regressor | None = None
     ) -> FloatArray:
-        """Solve least-squares coefficients (k, outputs) of features (m, k) at some rows for the residual of a trend."""
+        """Fit coefficients (k, outputs) of features (m, k) to a trend's residual at some rows, by least squares."""
         return self.by_block(least_squares(self.design(features, rows), self.target(trend, rows)))
 
     def polynomial(self, degree: int | None = None, trend: Regressor | None = None) -> Polynomial:
@@ -110,16 +110,17 @@ class Samples:
     def held_out_errors(
         self, features: FloatArray, target: FloatArray, solutions: Solutions, rows: IntArray
     ) -> FloatArray:
-        """Return the sums of squares (settings,) that solutions leave at left-out camera positions.
+        """Return the sums of squared residuals (settings,) of solutions at left-out camera positions.
 
         Args:
             features: (m, k).
             target: (m, 2), weighted.
-            solutions: fits the other folds, in each setting; it takes their design and target in triangular form.
+            solutions: function that fits the other folds in each setting, given their design and target in triangular
+                form.
             rows: (m,) rows of the samples.
         """
         folds = [self.fold[rows] == number for number in range(FOLDS)]
-        # The sums of squares of a fold need only the products of its columns.
+        # A fold's sums of squares need only the products of its columns.
         roots = [_root(np.hstack([self.design(features[here], rows[here]), target[here]])) for here in folds]
         error: FloatArray = np.zeros(1)
         for number, out in enumerate(roots):
@@ -129,7 +130,7 @@ class Samples:
         return error
 
     def _held_out_degree(self, trend: Regressor | None) -> int:
-        """Total degree of the polynomial with the least error at held-out camera positions."""
+        """Return the total degree of the polynomial with the least error at held-out camera positions."""
         variables, blocks = len(self.is_place), self.readings.blocks
         most = 1
         while blocks * term_count(variables, most + 1) <= min(_MOST_COLUMNS, 0.8 * len(self)):
@@ -148,20 +149,20 @@ class Samples:
 
 
 def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
-    """Least-squares solution (columns, outputs) of a design (m, columns) and target (m, outputs).
+    """Return the least-squares solution (columns, outputs) of a design (m, columns) and target (m, outputs).
 
-    It is the smallest one where the rows do not determine it.
+    It is the minimum-norm solution if the rows do not determine it.
     """
     return np.asarray(np.linalg.lstsq(design, target, rcond=1e-10)[0], np.float64)
 
 
 def _root(rows: FloatArray) -> FloatArray:
-    """Upper triangular matrix with the same products of columns."""
+    """Return the upper triangular matrix with the same products of columns."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 Fit = Callable[[Samples], Regressor]
-"""Fits a regressor."""
+"""Function that fits a regressor."""
 
 
 def fit_structure(
@@ -171,12 +172,12 @@ def fit_structure(
 
     Args:
         side: `fit_display.DISPLAY` or `fit_see_through.SEE_THROUGH`.
-        captures: of that side.
+        captures: captures of that side.
         structure: "static", "volumetric" or "planar".
-        fit: of the regressor.
+        fit: function that fits the regressor.
 
     Returns:
-        The model, and the regressor that it is made of.
+        The model, and its regressor.
 
     Raises:
         BadInputError: the regressor cannot use the captures.

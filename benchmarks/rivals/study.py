@@ -1,4 +1,4 @@
-"""Published methods and ours on the same captures: simulated ones, or measurements of others."""
+"""Published methods and ours on the same captures, simulated or measured by others."""
 
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
@@ -47,7 +47,7 @@ class RivalsOptions(StudyOptions):
 
 
 def run(options: RivalsOptions = RivalsOptions(), *, progress: ProgressArgument = SILENT) -> Report:
-    """Fit every method to the same captures and judge it by others; writes rivals.html, .md and .json.
+    """Fit every method to the same captures and judge it by other captures; write rivals.html, .md and .json.
 
     Raises:
         BadInputError: an unknown method, or see `run_study` and `compare_on_measurements`.

@@ -1,4 +1,4 @@
-"""Published methods on a display that was decoded from two viewpoints: parts of the panel that were not fitted."""
+"""Published methods on a display that was decoded from two viewpoints, judged on parts of the panel outside the fit."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,14 +18,14 @@ from wlr_render.report.blocks import Cell, ReportTable
 REFERENCE = f"ours: {BUNDLE}"
 _METHODS = tuple(
     name for name in DISPLAYS if not any(each in name for each in ("ours", "kernel", "process", "least squares"))
-)  # kernels would take minutes here, and ours are the accounts of `two-views`
+)  # kernels would take minutes here; our models are in `two-views`
 
 
 def viewpoint_table(eyes: Sequence[DisplayCaptures]) -> ReportTable:
-    """Errors of all methods in held-out cells of the panel, at both viewpoints, for each eye.
+    """Tabulate errors of all methods in held-out cells of the panel, at both viewpoints, for each eye.
 
     Args:
-        eyes: captures from two viewpoints each.
+        eyes: captures of each eye from two viewpoints.
     """
     rows: list[list[Cell]] = []
     noise = []

@@ -36,7 +36,7 @@ FitView = Callable[[SeeThroughCaptures], SeeThroughMapping]
 
 
 def view_table(pairs: SeeThroughPairs) -> ReportTable:
-    """Errors of all methods in views that were not fitted."""
+    """Tabulate errors of all methods in views that were not fitted."""
     judged = judged_views(pairs)
     reference = next(each for each in judged if each.method == REFERENCE)
     rows: list[list[Cell]] = [[each.method, len(each.error), *cells(each, reference)] for each in judged]
@@ -54,10 +54,10 @@ def view_table(pairs: SeeThroughPairs) -> ReportTable:
 
 
 def judged_views(pairs: SeeThroughPairs) -> list[HeldOut]:
-    """Every method, with the view left out as the group.
+    """Return the errors of every method in left-out views, with the view as the group.
 
     Raises:
-        BadInputError: the photographs show no plate, so that there is nothing to compare with.
+        BadInputError: the photographs show no plate to compare with.
     """
     bench, session = see_through_session(pairs)
     found = diagnose(bench, session, causes=causes_for(bench, only=(_CAUSE,)))
@@ -87,7 +87,7 @@ def judged_views(pairs: SeeThroughPairs) -> list[HeldOut]:
 
 
 def _angle(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Arcminutes between unit vectors (n, 3) that are close to each other."""
+    """Return the angles in arcminutes between close unit vectors (n, 3)."""
     return np.asarray(np.linalg.norm(first - second, axis=1) / ARCMIN)
 
 

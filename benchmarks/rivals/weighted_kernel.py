@@ -9,10 +9,10 @@ from wlr_render.numerics.arrays import FloatArray
 
 
 class WeightedKernel(RBF):  # type: ignore[misc]  # scikit-learn has no types
-    """Gaussian of the inputs times the products of the multipliers, which are the last `blocks` columns.
+    """A Gaussian kernel of the inputs times the products of the multipliers, which are the last `blocks` columns.
 
-    A reading is the sum over blocks of its multiplier times a function of the inputs, and all functions have the same
-    lengths.
+    A reading is the sum over blocks of its multiplier times a function of the inputs; all functions have the same
+    length scales.
     """
 
     def __init__(
@@ -22,7 +22,7 @@ class WeightedKernel(RBF):  # type: ignore[misc]  # scikit-learn has no types
         self.blocks = blocks
 
     def __call__(self, X: FloatArray, Y: FloatArray | None = None, eval_gradient: bool = False) -> Any:
-        """Return the covariance (n, m), on request with its gradient (n, m, lengths) by the logarithms of lengths."""
+        """Return the covariance (n, m), on request with its gradient (n, m, lengths) by logarithms of length scales."""
         first, second = np.hsplit(X, [-self.blocks]), None if Y is None else np.hsplit(Y, [-self.blocks])
         gain = first[1] @ (first if second is None else second)[1].T
         value = super().__call__(first[0], None if second is None else second[0], eval_gradient)
@@ -33,5 +33,5 @@ class WeightedKernel(RBF):  # type: ignore[misc]  # scikit-learn has no types
         return np.asarray(np.sum(X[:, -self.blocks :] ** 2, axis=1))
 
     def is_stationary(self) -> bool:
-        """Return that the covariance is not one of differences alone."""
+        """Return False: the covariance does not depend on differences alone."""
         return False
