@@ -12,12 +12,12 @@ class SceneSource:
     """Draws one scene for a compositor, in its context."""
 
     def __init__(self, compositor: Compositor, scene: Scene | SceneRaster) -> None:
-        """Prepare; a `SceneRaster` must be in the compositor's context."""
+        """Prepare; a `SceneRaster` must use the compositor's context."""
         self._compositor = compositor
         self._raster = scene if isinstance(scene, SceneRaster) else SceneRaster(compositor.context, scene)
 
     def submit(self, camera: EyeCamera) -> GpuImage:
-        """Draw for an eye and submit the picture, which is returned."""
+        """Draw for an eye, submit the picture and return it."""
         image = self._raster.draw_on_gpu(camera.view, camera.eye)
         self._compositor.submit(image, eye=camera.eye)
         return image

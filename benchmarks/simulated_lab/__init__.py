@@ -1,1 +1,1 @@
-"""Benchmark of a lab in software: codes, calibrations of benches, whole sessions, corrected displays."""
+"""Benchmark of a simulated lab: codes, bench calibrations, whole sessions, corrected displays."""

@@ -1,4 +1,4 @@
-"""Errors of models from a calibrated bench, and of models from the same readings with exact poses, lenses and board."""
+"""Errors of models from a calibrated bench, and from the same readings with exact poses, lenses and board."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ from wlr_render.simulation.photographs.camera import SimulatedLens
 CALIBRATED, EXACT, NOMINAL = "calibrated", "exact", "exact, stage's random motion unknown"
 """Sources of the captures that models are fitted to."""
 PREDICTED = "predicted"
-"""Errors that the calibrated models predict for themselves."""
+"""Source name of the errors that the calibrated models predict for themselves."""
 
 
 def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int) -> dict[str, dict[str, float]]:
@@ -65,7 +65,7 @@ def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int
 
 
 def true_to_found(found: Lens, true: SimulatedLens) -> FloatArray:
-    """Return the rotation (4, 4) from a camera's true frame to that in which a fitted lens sees the same directions."""
+    """Return the rotation (4, 4) from a camera's true frame to the frame of a fitted lens with the same directions."""
     pixel = np.stack(np.meshgrid(*(np.linspace(0.1, 0.9, 15) * side for side in found.size_px)), -1).reshape(-1, 2)
     directions = true.ray_of_pixel(pixel, np.zeros(2))[:, 3:]
     turn, _ = Rotation.align_vectors(found.dir_of_pixel(pixel), directions)
@@ -73,7 +73,7 @@ def true_to_found(found: Lens, true: SimulatedLens) -> FloatArray:
 
 
 def _predicted(model: FittedModel, subject: FloatArray, viewpoint: FloatArray) -> float:
-    """Predicted rms error, arcminutes, in the frame of the tracking camera: without what its stated pose adds."""
+    """Return the predicted rms error, arcminutes, in the tracking camera's frame, without its stated pose's error."""
     errors = model.direction_errors(subject, viewpoint, model.view_dir(subject, viewpoint).value)
     counted = np.array([source != "tracking camera" for source in errors.sources], dtype=np.bool_)
     square = np.trace(errors.unshared, axis1=-2, axis2=-1) + np.sum(errors.shared[..., counted] ** 2, axis=(-2, -1))
@@ -81,7 +81,7 @@ def _predicted(model: FittedModel, subject: FloatArray, viewpoint: FloatArray) -
 
 
 def _nominal(simulated: SimulatedReadings) -> tuple[FloatArray, FloatArray]:
-    """Camera poses of display and see-through photographs by readings and smooth errors of the stage alone."""
+    """Return camera poses of display and see-through photographs from readings and smooth errors of the stage alone."""
     camera_at = simulated.truth.bench.camera_at
     session = simulated.session
     shown = [camera_at(np.asarray(each.stage)) for each in session.display]

@@ -13,11 +13,11 @@ from wlr_render.lenses.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.camera import SimulatedLens
 
-_GRID = (9, 7)  # pixels across and down, at which directions are compared
+_GRID = (9, 7)  # numbers of pixels across and down at which directions are compared
 _EDGE = 0.04  # share of the picture along its edge without features
-_FEATURES = 40  # features of the board in the comparison
+_FEATURES = 40  # number of the board's features in the comparison
 _EVERY = 4  # step between the panel's camera positions in the comparison of directions
-_LEAST_SIZE = 1e-6  # smallest eigenvalue over the largest; combinations known a thousand times better do not matter
+_LEAST_SIZE = 1e-6  # smallest eigenvalue over the largest; combinations known a thousand times better are ignored
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class SquaredErrors:
     """Squares of errors over their stated sigmas.
 
     Attributes:
-        mean_square: of all components, each by its own sigma.
+        mean_square: mean square over the components, each divided by its sigma.
         joint: chi-squared by the joint covariance over the number of components.
     """
 
@@ -44,13 +44,13 @@ class SquaredErrors:
 
 
 def errors_over_sigma(bench: CalibratedBench, truth: BenchTruth) -> dict[str, SquaredErrors]:
-    """Errors of each kind of unknown."""
+    """Return the squared errors of each kind of unknown."""
     return _Compared(bench, truth).all()
 
 
 @dataclass(frozen=True, eq=False)
 class _Pose:
-    """A pose found, the true one, and the derivative (6, unknowns) of its small motions with their own covariance."""
+    """A pose as found, the true pose, and the derivative (6, unknowns) and own covariance of its small motions."""
 
     found: FloatArray
     true: FloatArray
@@ -85,7 +85,7 @@ class _Compared:
         return np.asarray(rows @ self._adjustment.covariance @ rows.T)
 
     def _poses(self, name: str, poses: list[_Pose]) -> dict[str, SquaredErrors]:
-        """Rotations, and positions of the origins."""
+        """Return the squared errors of rotations, and of the origins' positions."""
         parts: dict[str, FloatArray] = {"rotation": np.eye(3, 6)}
         result = {}
         for part in ("rotation", "position"):
@@ -116,7 +116,7 @@ class _Compared:
         return _Pose(back @ pose.found, true, rows, adjoint(back) @ pose.own @ adjoint(back).T)
 
     def _board(self, number: int) -> tuple[_Pose, SquaredErrors]:
-        """Pose of a target by the features of its board; and the errors of its shape."""
+        """Return a target's pose from the features of its board, and the squared errors of its shape."""
         state, layout = self._adjustment.state, self._adjustment.layout
         board = self._bench.session.board
         index = {tuple(each): k for k, each in enumerate(board.indices())}
@@ -150,20 +150,20 @@ class _Compared:
         return moved, SquaredErrors.of(rest @ error.ravel(), rest @ (covariance + own) @ rest.T)
 
     def _lens(self, camera: str, true: SimulatedLens) -> SquaredErrors:
-        """Directions over the picture, as tangents."""
+        """Return the squared errors of directions over the picture, as tangents."""
         error, by_values = _tangent_errors(self._adjustment.state.lens[camera], true)
         where = self._adjustment.layout.where["lens", camera]
         rows = by_values.reshape(-1, by_values.shape[-1])
         return SquaredErrors.of(error.ravel(), rows @ self._adjustment.covariance[where, where] @ rows.T)
 
     def _directions(self, poses: list[_Pose]) -> SquaredErrors:
-        """Directions of pixels at some camera places, in the frame of the poses."""
+        """Return the squared errors of pixels' directions at some camera positions, in the frame of the poses."""
         lens = self._adjustment.state.lens[EYEBALL]
         error, by_values = _tangent_errors(lens, self._truth.bench.eyeball)
         pixel = _pixels(lens)
         where = self._adjustment.layout.where["lens", EYEBALL]
         tangents = lens.tangents_of_pixel(pixel)
-        across = np.zeros((len(pixel), 2, 3))  # derivative of tangents by a rotation of the camera in its own frame
+        across = np.zeros((len(pixel), 2, 3))  # derivative of tangents by a rotation of the camera in its frame
         x, y = tangents.T
         across[:, 0], across[:, 1] = (
             np.stack([x * y, -1.0 - x**2, y], axis=-1),

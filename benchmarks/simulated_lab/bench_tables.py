@@ -11,7 +11,7 @@ from benchmarks.simulated_lab.bench_trial import DEVICES, FAULTY, BenchOutcome, 
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
 
-_SHORT = 160  # characters of a sentence
+_SHORT = 160  # largest number of characters of a sentence
 
 
 def bench_tables(outcomes: Sequence[BenchOutcome]) -> list[ReportTable]:
@@ -85,7 +85,7 @@ def _interval(squares: FloatArray) -> tuple[float, float]:
 
 
 def _components(outcomes: Sequence[BenchOutcome]) -> ReportTable:
-    """Tabulate the estimated variance components and the true ones, which are numbers in the first family only."""
+    """Tabulate the estimated and the true variance components; the latter are numbers in the first family only."""
     clean = [each for each in _clean(outcomes) if each.sizes]
     true: dict[str, tuple[float, float | None, str]] = {
         "turn": (1e6, 10.0, "random rotation of the stage, urad"),

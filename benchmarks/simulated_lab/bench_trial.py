@@ -24,7 +24,7 @@ DEVICES = ("northstar", "freeform40", "birdbath28")
 _SHIFT_MM, _TURN_DEG, _AXIS_DEG = (0.5, 2.0), (0.05, 0.2), 2.0
 _DOTS, _SAMPLES = ReadingOptions.most_dots, ReadingOptions.panel_samples
 _NOTHING: tuple[tuple[str, ...], ...] = ()
-_APART_M = 1e-3  # readings that are exchanged differ by more
+_APART_M = 1e-3  # smallest difference of readings that are exchanged
 
 
 class BenchTrialKind(StrEnum):
@@ -50,8 +50,8 @@ class BenchTrial:
     Attributes:
         kind: the fault, or the measurement.
         number: number of the session; devices alternate.
-        family: of the errors of stage, board, lenses and warm-up.
-        dots: largest number of dots of a photograph.
+        family: family of the errors of stage, board, lenses and warm-up.
+        dots: largest number of dots per photograph.
     """
 
     kind: BenchTrialKind
@@ -61,12 +61,12 @@ class BenchTrial:
 
     @property
     def device(self) -> str:
-        """The headset."""
+        """Name of the headset."""
         return DEVICES[self.number % len(DEVICES)]
 
     @property
     def file(self) -> str:
-        """Name of the file of its outcome."""
+        """Name of the outcome's file."""
         return f"{self.kind.replace(' ', '-')}-{self.number:03d}-{self.device}-{self.family}-{self.dots}.json"
 
 
@@ -90,7 +90,7 @@ class BenchOutcome:
         failed: checks that are not ok.
         excluded: photographs excluded from the captures.
         refused: error that stopped the calibration; "" if there was none.
-        named: True if the fault is named. first: True if it is the only fault named.
+        named: True if the fault is named. first: True if it is the only named fault.
         sigmas: errors over stated sigmas, by kind of unknown.
         sizes: variance components of the stage, by name.
         errors: rms errors of the models, by side and source.
@@ -169,7 +169,7 @@ def _excluded(bench: CalibratedBench, simulated: SimulatedReadings) -> list[Fail
 
 
 def _judged(outcome: BenchOutcome, said: list[FailedCheck], wanted: tuple[tuple[str, ...], ...]) -> BenchOutcome:
-    """Record whether each of `wanted` matches some sentence with all its words, and whether other sentences exist."""
+    """Record whether for each of `wanted` a sentence has all its words, and whether other sentences exist."""
     if outcome.trial.kind not in FAULTY:
         return outcome
     texts = [f"{each.step}: {each.sentence}" for each in said]
@@ -182,7 +182,7 @@ def _judged(outcome: BenchOutcome, said: list[FailedCheck], wanted: tuple[tuple[
 def _fault(
     kind: BenchTrialKind, clean: SimulatedReadings, rng: np.random.Generator
 ) -> tuple[Faults, str, tuple[tuple[str, ...], ...]]:
-    """Draw a fault; return it, its description, and the words that must name it."""
+    """Draw a fault; return it, its description, and the words that the report must contain."""
     session = clean.session
     poses = sorted({each.target_pose for each in session.see_through})
     sweep = len(session.see_through) // len(poses)

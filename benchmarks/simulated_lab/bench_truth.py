@@ -1,4 +1,4 @@
-"""True values behind a simulated session, with the faults that were asked for."""
+"""True values behind a simulated session, with the requested faults."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from wlr_render.simulation.photographs.photo_plan import SessionVisits, Visit
 
 @dataclass(frozen=True, eq=False)
 class BenchTruth:
-    """True values behind a simulated session, in the device frame, metres; lists have the order of the session's.
+    """True values behind a simulated session, in the device frame, metres; lists have the session's order.
 
     Attributes:
         bench: the bench, with the true stage axes and the target's poses before any fault. Its eyeball lens has its
@@ -38,7 +38,7 @@ class BenchTruth:
 
 
 def true_values(session: PhotoSession, bench: PhotoBench, visits: SessionVisits, faults: Faults) -> BenchTruth:
-    """Return the true poses of cameras and target at each photograph, in the headset's frame, also after it slipped.
+    """Return the true poses of cameras and target at each photograph, in the headset's frame, even after a slip.
 
     Raises:
         BadInputError: a fault names a missing photograph.
@@ -50,7 +50,7 @@ def true_values(session: PhotoSession, bench: PhotoBench, visits: SessionVisits,
     tracked = np.repeat(bench.device_from_target, 2, axis=0)
     bare_target = bench.device_from_target[[each.target_pose for each in session.bare]]
     if (moved := faults.board_moved) is not None:
-        # The poses of the bench are those in the sweeps: the bare photographs saw the target elsewhere.
+        # The bench has the poses during the sweeps: the bare photographs saw the target elsewhere.
         for number, each in enumerate(session.bare):
             if each.target_pose == known_number(moved.target_pose, poses, "target pose"):
                 bare_target[number] = moved.shift.moved(bare_target[number])
@@ -87,7 +87,7 @@ def known_number(number: int, numbers: range, kind: str) -> int:
     """Return the number, if a session has it.
 
     Raises:
-        BadInputError: it has not.
+        BadInputError: the session does not have it.
     """
     if number not in numbers:
         raise BadInputError(f"The fault is of {kind} {number}; the session has {numbers.start} to {numbers.stop - 1}.")

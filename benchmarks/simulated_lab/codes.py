@@ -19,13 +19,13 @@ from wlr_render.simulation.photographs.camera import Sensor
 from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 
-_EVERY = 3  # along each side: every ninth pixel is compared, enough to see one in ten thousand that is wrong
-_RIM_PX = 4.0  # width of the rim of the panel where blur mixes in the dark surroundings, panel pixels
+_EVERY = 3  # step along each side: every ninth pixel is compared, enough to find one wrong pixel in ten thousand
+_RIM_PX = 4.0  # width of the panel's rim in which blur mixes in the dark surroundings, panel pixels
 
 
 @dataclass(frozen=True)
 class CodeTrial:
-    """One code, one signal-to-noise ratio.
+    """Result of one code at one signal-to-noise ratio.
 
     Attributes:
         name: name of the code.
@@ -34,7 +34,7 @@ class CodeTrial:
         rms_px: rms of accepted pixels about the exact position, per axis, less the mean error.
         mean_px: mean of the errors of both axes, caused by aberrations over the finite pupil.
         wrong: number of accepted pixels with an error of more than one panel pixel.
-        accepted: share of the camera pixels that see the panel without its rim.
+        accepted: accepted share of the camera pixels that see the panel without its rim.
         decode_s: time from files to positions.
         read_s: time to read the files.
     """
@@ -51,7 +51,7 @@ class CodeTrial:
 
 
 def code_trials(bench: PhotoBench, snr: float, seed: int) -> Iterator[CodeTrial]:
-    """Every code, photographed from the middle of the eye box."""
+    """Yield the result of every code, photographed from the middle of the eye box."""
     device_from_camera = bench.camera_at(np.zeros(3))
     sight = CameraView.through_optics(bench.optics, bench.eyeball, device_from_camera)
     truth = _exact_positions(bench, device_from_camera)
@@ -75,7 +75,7 @@ def code_trials(bench: PhotoBench, snr: float, seed: int) -> Iterator[CodeTrial]
 
 
 def code_table(trials: list[CodeTrial], bench: PhotoBench, snr: float) -> ReportTable:
-    """One row a code."""
+    """Tabulate the codes, one per row."""
     rows: list[list[Cell]] = [
         [
             trial.name,
@@ -114,7 +114,7 @@ def code_table(trials: list[CodeTrial], bench: PhotoBench, snr: float) -> Report
 
 
 def _exact_positions(bench: PhotoBench, device_from_camera: FloatArray) -> FloatArray:
-    """(h / every, w / every, 2) panel position of camera pixels; NaN off the panel."""
+    """Return panel positions (h / every, w / every, 2) of camera pixels; NaN off the panel."""
     width, height = bench.eyeball.camera.size_px
     u, v = np.meshgrid(np.arange(0, width, _EVERY) + 0.5, np.arange(0, height, _EVERY) + 0.5)
     pixel = np.stack([u, v], axis=-1)

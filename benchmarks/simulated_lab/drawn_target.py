@@ -1,4 +1,4 @@
-"""The drawn target: a scene of the board alone, and which of its dots the panel can show whole."""
+"""The drawn target: a scene of the board alone, and the dots that the panel can show whole."""
 
 from dataclasses import replace
 
@@ -16,18 +16,18 @@ from wlr_render.scene.shapes import construction
 
 _TEXELS_PER_PITCH = 64
 _LARGEST_TEXTURE_PX = 8192
-_AROUND = 1.3  # radius of the white surroundings of a dot, in radii of the dot
+_AROUND = 1.3  # radius of the white surroundings of a dot over the dot's radius
 _RING = 12
-_EDGE_PX = 2.0  # panel pixels
+_EDGE_PX = 2.0  # smallest distance from the panel's edge, panel pixels
 
 
 def target_scene(board: DotBoard, shape: BoardShape | None, world_from_target: FloatArray) -> Scene:
-    """Return the board alone in the dark, evenly bright.
+    """Return a scene of the board alone in the dark, evenly bright.
 
     Args:
         board: the target.
-        shape: its true shape as calibration found it; None for a flat and exact board.
-        world_from_target: (4, 4) its pose.
+        shape: shape of the board by calibration; None for a flat and exact board.
+        world_from_target: (4, 4) pose of the board.
     """
     mesh_from_target = transforms.rigid(transforms.OPENXR_FROM_OPENCV, np.zeros(3))
     world_from_mesh = world_from_target @ transforms.inverse(mesh_from_target)
@@ -63,13 +63,13 @@ def wholly_shown(
 ) -> NDArray[np.bool_]:
     """Return a mask (rows, columns) of the dots that lie on the panel with their surroundings.
 
-    The panel's edge displaces the others.
+    The panel's edge displaces the other dots.
 
     Args:
-        models: of the eye.
+        models: models of the eye.
         board: the target.
-        device_from_target: (4, 4) where it is drawn.
-        viewpoint: (3,) for which it is drawn.
+        device_from_target: (4, 4) pose of the drawn board.
+        viewpoint: (3,) viewpoint for which it is drawn.
     """
     index = board.indices()
     angle = np.linspace(0.0, 2.0 * np.pi, _RING, endpoint=False)

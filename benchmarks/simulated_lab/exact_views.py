@@ -11,7 +11,7 @@ from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.photographs.camera_view import WAVELENGTH_UM
 from wlr_render.simulation.workshop import Workshop
 
-_ROUNDS = 4  # of the search for a pixel; each leaves a hundredth of the residual distortion's error
+_ROUNDS = 4  # rounds of the search for a pixel; each leaves a hundredth of the residual distortion's error
 
 
 def panel_position(
