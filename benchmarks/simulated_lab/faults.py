@@ -1,4 +1,4 @@
-"""Faults of a photographic session: somebody moved something, or wrote something down wrongly."""
+"""Faults of a photographic session: moved parts and wrong records."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ class Shift:
 
     Attributes:
         mm: displacement.
-        deg: rotation vector, about the moved thing's own origin.
+        deg: rotation vector, about the origin of the moved part.
     """
 
     mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -28,12 +28,12 @@ class Shift:
 
 @dataclass(frozen=True)
 class BoardMove:
-    """The target was moved at one of its poses.
+    """The target moved at one of its poses.
 
     Attributes:
-        target_pose: at which.
-        shift: how.
-        visit: of the pose's sweep, from which on it stands there; ignored by `Faults.board_moved`.
+        target_pose: pose at which the target moved.
+        shift: motion of the target.
+        visit: visit of the pose's sweep from which on the target is displaced; ignored by `Faults.board_moved`.
     """
 
     target_pose: int
@@ -46,9 +46,9 @@ class HeadsetSlip:
     """The headset moved on its mount, with its tracking camera.
 
     Attributes:
-        target_pose: in the sweep of which.
-        visit: of that sweep, from which on it stands there.
-        shift: how.
+        target_pose: target pose in whose sweep the headset moved.
+        visit: visit of that sweep from which on the headset is displaced.
+        shift: motion of the headset.
     """
 
     target_pose: int
@@ -61,7 +61,7 @@ class Exchange:
     """The readings of two entries of a list of session.toml were exchanged.
 
     Attributes:
-        of: "bare", "see_through" or "display".
+        of: list, "bare", "see_through" or "display".
         first, second: numbers of the entries.
     """
 
@@ -77,8 +77,8 @@ class Faults:
     Attributes:
         board_moved: the target moved between its bare photographs and the photographs with the headset mounted.
         board_moved_in_sweep: the target moved during a sweep, before its tracking photograph.
-        headset_slipped: the headset moved during a sweep. Everything after it, also at later target poses, is seen from
-            the moved headset, except bare photographs.
+        headset_slipped: the headset moved during a sweep. All later photographs, even at later target poses, are seen
+            from the moved headset, except bare photographs.
         exchanged: readings exchanged in session.toml.
         axis_off_deg: deviation of the stage's y axis from its right angle to x.
     """

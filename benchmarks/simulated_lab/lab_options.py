@@ -102,6 +102,6 @@ class SimulatedLabOptions(SpreadOptions):
 
     @property
     def simulated_session(self) -> Path:
-        """The session of the parts that need one."""
-        assert self.session is not None  # refused before
+        """The session, for the parts that need one."""
+        assert self.session is not None  # a missing session was refused before
         return self.session

@@ -32,7 +32,7 @@ def load_recipe(folder: Path) -> SimulationRecipe:
 
 
 def _require_all(table: Table, kind: type) -> None:
-    """Refuse a table without a key that every recipe has: a default could differ from what was simulated."""
+    """Refuse a table without a key that every recipe has: a default could differ from the simulated value."""
     for each in attributes(kind):
         if each.name != "places_mm" and not table.has(each.name):
             raise table.fail(f"key '{each.name}' is missing; write it.")

@@ -1,4 +1,4 @@
-"""Registration of calibrations on the simulated bench of their session, measured as on a real one.
+"""Registration of calibrations on the simulated bench of their session, measured as on a real bench.
 
 The target is drawn over itself and photographed with the display off and on. The fitted models draw it, for the camera
 position that the stage reads and the target pose that the tracking camera sees. Photographs show the true bench: each
@@ -56,11 +56,11 @@ from wlr_render.simulation.viewpoints import random_in_eye_box
 from wlr_render.work.progress import Progress
 
 METHODS = ("raster + warp", "ray traced")
-"""Without OpenGL the second alone."""
+"""Methods; without OpenGL only the second."""
 _FRONTAL: tuple[TargetPose, ...] = ("frontal",)
 _ALL_POSES: tuple[TargetPose, ...] = ("frontal", "tilted", "shifted")
-_TILT_DEG, _SHIFT_M = 20.0, 0.06  # motions of the target: about the vertical; to the right, and half as much down
-_SUPERSAMPLE = 3  # rays per display pixel and axis: the target's dots must not be jagged
+_TILT_DEG, _SHIFT_M = 20.0, 0.06  # rotation about the vertical; shift to the right, and half as much down
+_SUPERSAMPLE = 3  # rays per display pixel and axis, so that the target's dots are not jagged
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Registration:
 
     Attributes:
         judged: by target, viewpoint, calibration and method; methods of several calibrations begin with their names.
-        of_target: the target of each pair, by the pair's name.
+        of_target: target of each pair, by the pair's name.
         drawn: the pairs to draw.
         warnings: frames that are not rasterised, photographs that show too little.
     """
@@ -85,7 +85,7 @@ class Registration:
         return verdict(self.judged)
 
     def blocks(self, folder: Path) -> list[Block]:
-        """Return tables over everything, by target where there are several, and of each pair; draws into `folder`."""
+        """Return tables over all pairs, by target if there are several, and of each pair; draw into `folder`."""
         by_target = []
         if len(set(self.of_target.values())) > 1:
             heads = {"target": lambda pair: self.of_target[pair.name], "method": by_method}
@@ -114,7 +114,7 @@ class _Calibration:
     """A calibration that is verified.
 
     Attributes:
-        label: its name in tables; "" for a single calibration.
+        label: name of the calibration in tables; "" for a single calibration.
         prefix: prefix of the names of panel pictures.
         models: models of the eye.
         station: station of the bench.
@@ -131,11 +131,11 @@ class _Calibration:
 
 
 def register(options: SimulatedLabOptions, folder: Path, progress: Progress) -> Registration:
-    """Draw, photograph and match; writes the photographs into `photographs` in `folder`.
+    """Draw, photograph and match; write the photographs into `photographs` in `folder`.
 
     Raises:
-        BadInputError: the session is not a simulated one, a calibration is missing or of another session, or the
-            target is not seen where it stands.
+        BadInputError: the session is not simulated, a calibration is missing or of another session, or the target is
+            not seen at a position.
     """
     bench, photographs = load_recipe(options.simulated_session).build(), folder / "photographs"
     calibrations = _calibrations(options, bench)
@@ -178,14 +178,14 @@ def _calibrations(options: SimulatedLabOptions, bench: PhotoBench) -> list[_Cali
     """Load the calibrations.
 
     Raises:
-        BadInputError: one is missing, named twice, or of another session.
+        BadInputError: a calibration is missing, named twice, or of another session.
     """
     folders = options.calibration
     for number, folder in enumerate(folders):
         if folder in folders[:number]:
             raise BadInputError(f"--calibration names {folder} twice; name each calibration once.")
     several = len(folders) > 1
-    # Paths distinguish folders of equal name, e.g. a/out and b/out.
+    # Paths distinguish folders with the same name, e.g. a/out and b/out.
     stems = [
         folder.name if [each.name for each in folders].count(folder.name) == 1 else str(folder) for folder in folders
     ]
@@ -233,7 +233,7 @@ def _targets(bench: PhotoBench, options: SimulatedLabOptions) -> list[TargetPlac
 
 def _tracked_pose(station: SavedStation, bench: PhotoBench, seen: BoardObservation) -> FloatArray:
     """Return device_from_target (4, 4) by the tracking camera of a calibrated bench."""
-    assert station.tracking_camera is not None  # refused before
+    assert station.tracking_camera is not None  # a missing tracking camera was refused before
     assert station.device_from_tracking is not None
     point = bench.board.point_of(seen.index)
     if station.shape is not None:
@@ -279,9 +279,9 @@ def _judge(
     viewpoint: int,
     folder: Path,
 ) -> list[JudgedPair]:
-    """Match the dots of one position: those found in all photographs that the panel shows whole by every calibration.
+    """Match the dots of one position that are found in all photographs and shown whole by every calibration.
 
-    `placed` has each calibration with the poses (4, 4) of target and (3,) of camera by it.
+    `placed` has each calibration with its pose (4, 4) of the target and position (3,) of the camera.
     """
     whole = np.all([wholly_shown(each.models, bench.board, pose, place) for each, pose, place in placed], axis=0)
     names = tuple(each.prefix + method for each, *_ in placed for method in methods)

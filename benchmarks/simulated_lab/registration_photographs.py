@@ -20,12 +20,12 @@ from wlr_render.work.workers import WorkerPool, as_finished
 
 @dataclass(frozen=True, eq=False)
 class TargetPlace:
-    """A place of the target.
+    """A position and orientation of the target.
 
     Attributes:
-        depth_m: its distance.
-        pose: its pose in words; "" where all targets are frontal.
-        device_from_target: (4, 4) true.
+        depth_m: distance of the target.
+        pose: orientation in words; "" if all targets are frontal.
+        device_from_target: (4, 4) true pose.
     """
 
     depth_m: float
@@ -39,7 +39,7 @@ class TargetPlace:
 
     @property
     def words(self) -> str:
-        """Distance and pose, for tables."""
+        """Text with distance and orientation, for tables."""
         return f"{self.depth_m:g} m" + (f", {self.pose}" if self.pose else "")
 
     def position(self, viewpoint: int) -> str:
@@ -55,7 +55,7 @@ class Frames:
     images: tuple[NDArray[np.uint8], ...]
 
     def names(self) -> tuple[str, ...]:
-        """Names of the pictures in the order of showing."""
+        """Return the names of the pictures in the order in which they are shown."""
         return self.shown
 
     def image(self, index: int) -> NDArray[np.uint8]:
@@ -66,7 +66,7 @@ class Frames:
 def photograph_tracking(
     bench: PhotoBench, targets: Sequence[TargetPlace], folder: Path, seed: int
 ) -> list[BoardObservation]:
-    """Photograph the target at each place with the tracking camera; BadInputError where it is not seen."""
+    """Photograph the target at each position with the tracking camera; BadInputError if it is not seen."""
     shots = tuple(BoardShot(folder / f"tracking_{each.stem}.png", each.device_from_target) for each in targets)
     pose = poses_on(bench, seed)
     take(pose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, boards=shots))

@@ -20,11 +20,11 @@ class SavedStation:
     """Contents of station-EYE.json.
 
     Attributes:
-        eyeball_camera, tracking_camera: the lenses; None for a tracking camera that there is not.
+        eyeball_camera, tracking_camera: lenses of the cameras; None without a tracking camera.
         device_from_tracking: (4, 4), or None.
         base: (4, 4) device_from_camera at the middle of the stage's readings; None without a stage.
-        stage: how the stage carries the camera, or None.
-        shape: of the board, or None.
+        stage: motion of the camera by the stage, or None.
+        shape: shape of the board, or None.
     """
 
     eyeball_camera: Lens
@@ -35,10 +35,10 @@ class SavedStation:
     shape: BoardShape | None
 
     def device_from_camera(self, reading: FloatArray) -> FloatArray:
-        """(m,) stage reading -> (4, 4).
+        """Return the camera pose (4, 4) at a stage reading (m,).
 
         Raises:
-            BadInputError: there is no stage.
+            BadInputError: the bench has no stage.
         """
         if self.base is None or self.stage is None:
             raise BadInputError(
@@ -48,10 +48,10 @@ class SavedStation:
 
 
 def load_station(path: str | Path) -> SavedStation:
-    """Read station-EYE.json as `calibrate` writes it.
+    """Read station-EYE.json as written by `calibrate`.
 
     Raises:
-        BadInputError: there is none, or it is of another kind.
+        BadInputError: the file is missing, or of another kind.
     """
     table, base, stage = read_station(path), None, None
     if table.has("stage"):

@@ -1,7 +1,7 @@
 """Compare a calibration from simulated photographs with the truth, and with a calibration from exact numbers.
 
-The exact calibration has the same camera places, camera pixels and dots, and readings that scatter by the noise
-that the photographs' readings state; but it knows lenses, stage and target exactly, and has no other error.
+The exact calibration has the same camera positions, camera pixels and dots, and readings with the noise that the
+photographs' readings state; but its lenses, stage and target are exact, and it has no other error.
 """
 
 from dataclasses import dataclass, replace
@@ -43,7 +43,7 @@ class SessionTruth:
         found: the calibration from photographs.
         measured: the fit to its captures, moved to the true device frame: the error of the tracking camera's stated
             pose moves everything together.
-        ideal: the fit from exact correspondences with the same noise.
+        ideal: the fit to exact correspondences with the same noise.
     """
 
     truth: BenchTruth
@@ -53,7 +53,7 @@ class SessionTruth:
 
 
 def compare_with_truth(bench: PhotoBench, found: SessionCalibration, seed: int) -> SessionTruth:
-    """Make the exact calibration that belongs to one from photographs."""
+    """Make the exact calibration that corresponds to a calibration from photographs, and compare."""
     session = found.session
     visits = true_camera_poses(bench, plan_photographs(bench, len(session.display)))
     truth = true_values(session, bench, visits, Faults())
@@ -63,7 +63,7 @@ def compare_with_truth(bench: PhotoBench, found: SessionCalibration, seed: int) 
 
 
 def truth_tables(compared: SessionTruth, seed: int) -> tuple[ReportTable, ReportTable]:
-    """Errors of the models, from photographs and from exact numbers; errors of the station's poses."""
+    """Tabulate errors of the models, from photographs and from exact numbers, and errors of the station's poses."""
     bench = compared.truth.bench
     truth = traced_eye(bench.device, bench.eye)
     return _model_table(compared, truth, seed), _station_table(compared)

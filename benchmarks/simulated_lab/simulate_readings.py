@@ -28,9 +28,9 @@ from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.workshop import Workshop
 
 _EDGE_PX = 6.0  # smallest distance from the edge of the picture to the centre of a dot
-_NEAR = 1.1  # range in sizes of the picture; the optics bring no point beyond it into the picture
+_NEAR = 1.1  # search range over the picture's size; the optics bring no point from beyond it into the picture
 _USUAL = ReadingOptions()
-_COARSE = 24  # camera pixels across, at which the panel is looked for
+_COARSE = 24  # number of camera pixels across in the search for the panel
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ def _exchanged(session: PhotoSession, fault: Exchange) -> PhotoSession:
 
 @dataclass(frozen=True, eq=False)
 class _Reader:
-    """Reads photographs that were never taken."""
+    """Reader of photographs that were not taken."""
 
     session: PhotoSession
     truth: BenchTruth
@@ -134,7 +134,7 @@ class _Reader:
     def _free(
         self, path: Path, lens: LensCamera, workshop: Workshop | None, camera_from_target: FloatArray
     ) -> BoardObservation:
-        """Return the board without the optics."""
+        """Return the reading of the board without the optics."""
         rng = self._rng(path)
         point = transforms.apply(camera_from_target, self.truth.bench.printed.points)
         pixel = pixel_of_point(lens, point, workshop)
@@ -144,7 +144,7 @@ class _Reader:
     def _through(
         self, path: Path, camera: LensCamera, device_from_camera: FloatArray, device_from_target: FloatArray
     ) -> BoardObservation:
-        """Return the board through the optics."""
+        """Return the reading of the board through the optics."""
         rng = self._rng(path)
         point = transforms.apply(device_from_target, self.truth.bench.printed.points)
         straight = camera.pixel_of_point(transforms.apply(transforms.inverse(device_from_camera), point))
@@ -192,7 +192,7 @@ class _Reader:
         return panel_position(bench.optics, lens, device_from_camera, pixel, workshop).value
 
     def _rng(self, path: Path) -> np.random.Generator:
-        """Return the noise of one photograph, whatever others there are."""
+        """Return the noise generator of one photograph, which does not depend on the other photographs."""
         bench = self.truth.bench
         name = zlib.crc32(self.session.name_of(path).encode())
         return np.random.default_rng([bench.options.seed, 23, name, int(bench.eye == "left")])
@@ -204,6 +204,6 @@ def _inside(pixel: FloatArray, size_px: tuple[int, int], edge_px: float) -> Bool
 
 
 def _grid(size_px: tuple[int, int], every: float) -> FloatArray:
-    """Return the centres (rows, columns, 2) of pixels on a grid of this step."""
+    """Return the centres (rows, columns, 2) of pixels on a grid with step `every`."""
     u, v = (np.floor(np.arange(0.5 * every, length, every)) + 0.5 for length in size_px)
     return np.stack(np.meshgrid(u, v), axis=-1)

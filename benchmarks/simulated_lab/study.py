@@ -1,4 +1,4 @@
-"""Accuracy of reading photographs: codes at low signal, whole sessions and their registration, benches."""
+"""Accuracy of readings from photographs: codes at low signal, whole sessions and their registration, benches."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -36,10 +36,10 @@ _DEFAULTS = SimulatedLabOptions()
 
 
 def run(options: SimulatedLabOptions = _DEFAULTS, *, progress: ProgressArgument = SILENT) -> Report:
-    """Photograph, read and compare; writes simulated-lab.html, .md and .json.
+    """Photograph, read and compare; write simulated-lab.html, .md and .json.
 
     Raises:
-        BadInputError: the session is not a simulated one, or cannot be calibrated.
+        BadInputError: the session is not simulated, or cannot be calibrated.
     """
     folder = output_folder(options.out)
     tables = _tables(options, progress)
@@ -72,7 +72,7 @@ def run(options: SimulatedLabOptions = _DEFAULTS, *, progress: ProgressArgument 
 
 
 def _tables(options: SimulatedLabOptions, progress: Progress) -> list[ReportTable]:
-    """Measure codes, and the calibration of a session against its truth, where they are asked for."""
+    """Measure codes, and the calibration of a session against its truth, as requested."""
     tables: list[ReportTable] = []
     if "codes" in options.part:
         bench = design_photo_bench(load_device(_DEVICE), "right")
@@ -87,7 +87,7 @@ def _tables(options: SimulatedLabOptions, progress: Progress) -> list[ReportTabl
 
 
 def bench_trials(options: SimulatedLabOptions) -> list[BenchTrial]:
-    """Trials of benches, mixed so that an interrupted study has some of each."""
+    """Return trials of benches, mixed so that an interrupted study has some of each kind."""
     counts: dict[BenchTrialKind, int] = {}
     if "bench" in options.part:
         counts[BenchTrialKind.CLEAN] = options.benches
