@@ -66,9 +66,7 @@ class CompiledMap:
     reached: float
 
 
-def compile_display(
-    optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box, wavelength_um: float = GREEN_UM
-) -> CompiledMap:
+def compile_display(optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box) -> CompiledMap:
     """Compile the display with assembly errors `values` (12,): (u px, v px, x m, y m) -> (tx, ty) over `box`.
 
     Args:
@@ -76,23 +74,20 @@ def compile_display(
         values: see `assembled`.
         plane: the base plane; (x, y) is where a ray meets it.
         box: box of the inputs.
-        wavelength_um: micrometres, vacuum.
 
     Raises:
         BadInputError: hardly any ray reaches the box.
     """
-    return _compiled(_DisplayRays(optics, np.asarray(values), plane, box, wavelength_um), DISPLAY_LIMITS)
+    return _compiled(_DisplayRays(optics, np.asarray(values), plane, box), DISPLAY_LIMITS)
 
 
-def compile_see_through(
-    optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box, wavelength_um: float = GREEN_UM
-) -> CompiledMap:
+def compile_see_through(optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box) -> CompiledMap:
     """Compile the see-through deviation: (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m) over `box`; see `compile_display`.
 
     The ray that meets the base plane in p~ with tangents t is, in the world, the ray through p~ + B with tangents
     t + A; B lies in the plane z = constant through p~.
     """
-    return _compiled(_SeeThroughRays(optics, np.asarray(values), plane, box, wavelength_um), SEE_THROUGH_LIMITS)
+    return _compiled(_SeeThroughRays(optics, np.asarray(values), plane, box), SEE_THROUGH_LIMITS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +116,6 @@ class _Rays:
     values: FloatArray
     plane: BasePlane
     box: Box
-    wavelength_um: float
 
 
 def _compiled(rays: "_DisplayRays | _SeeThroughRays", ladder: tuple[Limits, ...]) -> CompiledMap:
@@ -169,7 +163,7 @@ class _DisplayRays(_Rays):
 
     def traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Trace rays with assembly errors: pixels (n, 2), and which rays pass."""
-        display = TracedDisplay(assembled(self.optics, values), self.wavelength_um)
+        display = TracedDisplay(assembled(self.optics, values), GREEN_UM)
         pixel, status = display.plane_pixel(dir_of_tangents(tangents), self.plane.lift(place))
         return pixel, np.asarray(status == Status.OK)
 
@@ -234,7 +228,7 @@ class _SeeThroughRays(_Rays):
     def traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the deviations (n, 4), and which rays pass."""
         start, path = self.plane.lift(place), assembled(self.optics, values).see_through
-        traced = trace(path, start, dir_of_tangents(tangents), self.wavelength_um)
+        traced = trace(path, start, dir_of_tangents(tangents), GREEN_UM)
         beyond = tangents_of_dir(traced.direction)
         back = (traced.origin[:, 2] - start[:, 2])[:, None] * beyond
         return _joined(beyond - tangents, traced.origin[:, :2] + back - place), np.asarray(traced.status == Status.OK)

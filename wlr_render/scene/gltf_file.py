@@ -5,6 +5,7 @@ intensities are divided by pi. Material factors and vertex colours are linear.
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -75,12 +76,12 @@ def has_triangles(primitive: dict[str, Any]) -> bool:
 
 def read_parts(document: GltfDocument) -> Iterator[Part]:
     """Return all primitives with triangles, mesh by mesh."""
-    names = _Names()
+    names: Counter[str] = Counter()
     for number in range(len(document.entries("meshes"))):
         mesh = document.entry("meshes", number)
         for primitive in mesh["primitives"]:
             if has_triangles(primitive):
-                name = names.unique(str(mesh.get("name", "GLTF")))
+                name = _unique(str(mesh.get("name", "GLTF")), names)
                 where = f"mesh {document.name_of('meshes', number)}"
                 yield Part(_raw_mesh(document, name, where, primitive), number, primitive.get("material"))
 
@@ -91,8 +92,8 @@ def read_nodes(document: GltfDocument) -> list[Node]:
         raise document.fail(f"has {len(nodes)} nodes, more than {_MOST_NODES}")
     if not document.entries("scenes") and "scene" not in document.tree:
         return []
-    known = _Names()
-    names = [known.unique(str(document.entry("nodes", number).get("name", number))) for number in range(len(nodes))]
+    known: Counter[str] = Counter()
+    names = [_unique(str(document.entry("nodes", number).get("name", number)), known) for number in range(len(nodes))]
     roots = document.entry("scenes", document.tree.get("scene", 0)).get("nodes", [])
     found: dict[int, Node] = {}
     left = [(root, np.eye(4), 1) for root in reversed(roots)]
@@ -149,27 +150,14 @@ def read_lights(document: GltfDocument, nodes: Sequence[Node]) -> Iterator[Light
         yield LightSource(kind, vector, colour.astype(np.float32), str(stated.get("name", node.name)))
 
 
-class _Names:
-    """Unique names: a name that is taken gets a number, which counts up."""
-
-    def __init__(self) -> None:
-        self._taken: set[str] = set()
-        self._counts: dict[str, int] = {}
-
-    def unique(self, name: str) -> str:
-        if name and name not in self._taken:
-            self._taken.add(name)
-            return name
-        stem, number = name or "geometry", self._counts.get(name, 0)
-        before, _, digits = name.rpartition("_")
-        if number == 0 and before and digits.isdecimal():
-            stem, number = before, int(digits)
-        number += 1
-        while f"{stem}_{number}" in self._taken:
-            number += 1
-        self._counts[name] = number
-        self._taken.add(f"{stem}_{number}")
-        return f"{stem}_{number}"
+def _unique(name: str, taken: Counter[str]) -> str:
+    """Return a name, with a number if it is taken, and count it in `taken`."""
+    free, number = name, taken[name]
+    while free in taken:
+        free, number = f"{name}_{number}", number + 1
+    taken[name] = number
+    taken[free] += 1
+    return free
 
 
 def _raw_mesh(document: GltfDocument, name: str, where: str, primitive: dict[str, Any]) -> RawMesh:
