@@ -1,4 +1,4 @@
-"""Draw the frames of a stream as an engine would, and record the time of each."""
+"""Draw the frames of a stream as an engine would, and record the time of each frame."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -11,7 +11,7 @@ from wlr_render.warp.compositor import Compositor
 
 
 def draw_frames(compositor: Compositor, source: SceneSource, moments: Sequence[StreamFrame]) -> Iterator[FrameNote]:
-    """Draw one frame a moment."""
+    """Draw one frame for each moment."""
     with CollectorTime() as collector:
         for moment in moments:
             composed, cost = _draw(compositor, source, moment, collector)

@@ -1,7 +1,7 @@
 """Check that a frame's map belongs to its viewpoint: against an exact solve, and against the previous map.
 
-Some frames of a stream are drawn again for this, each after the one before it. In the stream itself, fetching maps
-would cost time and memory that no real-time program spends.
+Some frames of a stream are drawn again for the check, each after its predecessor. In the stream itself, fetching maps
+would cost time and memory that a real-time program does not spend.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,13 +17,13 @@ from wlr_render.warp.raster_camera import EyePlan
 from wlr_render.warp.ray_map import NEAREST_M, RayMap, solve_pixels
 
 CHECKED = 5
-"""So many frames with the farthest jumps are checked, and about as many without a jump."""
+"""Number of checked frames with the farthest jumps, and approximate number without a jump."""
 
 Fields = Mapping[str, Sequence[RayMap]]
 
 
 def frames_to_check(moments: Sequence[StreamFrame]) -> list[int]:
-    """Return numbers of the frames with the farthest jumps, and as many others, evenly spread; never the first."""
+    """Return the numbers of the frames with the farthest jumps and of about as many others, evenly spread; never 0."""
     jumps = [number for number, moment in enumerate(moments) if number and moment.jumped]
     rest = [number for number, moment in enumerate(moments) if number and not moment.jumped]
     jumps.sort(key=lambda number: -max(eye.moved_mm for eye in moments[number].eyes.values()))
@@ -34,7 +34,7 @@ def frames_to_check(moments: Sequence[StreamFrame]) -> list[int]:
 def check_maps(
     compositor: Compositor, source: SceneSource, moments: Sequence[StreamFrame], numbers: Sequence[int]
 ) -> Iterator[list[MapCheck]]:
-    """Draw the frames of these numbers and those before them again; a check per eye and frame."""
+    """Draw the numbered frames and their predecessors again; yield a check per eye for each frame."""
     for number in numbers:
         kept = _maps(compositor, source, moments[number - 1])
         own = _maps(compositor, source, moments[number])
@@ -46,7 +46,7 @@ def check_maps(
 
 
 def _exact(plan: EyePlan, viewpoint: FloatArray) -> list[RayMap]:
-    """Every point of the warp grid solved on the CPU, in float64."""
+    """Solve every point of the warp grid on the CPU, in float64."""
     axes, pixel = plan.device_from_camera, plan.warp_grid.grid.panel_pixel()
     solved = [solve_pixels(mappings, axes, pixel, viewpoint) for mappings in plan.channels]
     return [
@@ -84,13 +84,13 @@ def arcmin_apart(field: RayMap, truth: RayMap) -> float:
 
 
 def _from_viewpoint(field: RayMap, other: RayMap) -> FloatArray:
-    """(4, height, width) `slope_offset` of the same rays with the other field's viewpoint as the origin."""
+    """Return `slope_offset` (4, height, width) of the same rays with the other field's viewpoint as the origin."""
     a, b, c, d = field.slope_offset.astype(np.float64)
     x, y, z = field.device_from_camera.T @ (field.viewpoint_in_device - other.viewpoint_in_device)
     return np.stack([a, b, c + x + z * a, d + y + z * b])
 
 
 def _tangents(slope_offset: FloatArray) -> FloatArray:
-    """(2, height, width, 2): under which tangents the rays' points at infinity and at the nearest depth are seen."""
+    """Return the tangents (2, height, width, 2) of the rays' points at infinity and at the nearest depth."""
     at_infinity = np.moveaxis(slope_offset[:2], 0, -1)
     return np.stack([at_infinity, at_infinity + np.moveaxis(slope_offset[2:], 0, -1) / NEAREST_M])

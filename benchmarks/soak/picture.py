@@ -22,7 +22,7 @@ _STAGES = {"scene": ("draw_ms", "#9ecae1"), "maps and warp": ("compose_ms", "#31
 
 
 def draw_stream(path: Path, stream: Stream) -> Path:
-    """Rows over time: one per eye, the frame times, the memory."""
+    """Plot one row per eye, the frame times and the memory, over time."""
     from matplotlib.figure import Figure
 
     heights = [*(1.0 for _ in stream.eyes), 1.2, 0.5]
@@ -47,12 +47,12 @@ def draw_stream(path: Path, stream: Stream) -> Path:
 
 
 def _draw_viewpoint(row: "Axes", time_s: FloatArray, moments: Sequence[EyeMoment]) -> None:
-    """Plot the viewpoint over time, with shading without a good sample and ticks at jumps."""
+    """Plot the viewpoint over time, with shading while good samples are missing, and ticks at jumps."""
     viewpoint = np.stack([moment.viewpoint for moment in moments])
     state = np.array([moment.state for moment in moments])
     for (name, colour), mm in zip(_AXIS_COLOURS.items(), 1e3 * (viewpoint - viewpoint[0]).T, strict=True):
         row.plot(time_s, mm, color=colour, linewidth=0.9, label=name)
-    # From the frame where a state begins to the one where the next begins.
+    # From the frame at which a state begins to the frame at which the next begins.
     until_s = np.append(time_s[1:], 2 * time_s[-1] - time_s[-2])
     for shaded, colour in _SHADES.items():
         for number, k in enumerate(np.flatnonzero(state == shaded)):
@@ -64,7 +64,7 @@ def _draw_viewpoint(row: "Axes", time_s: FloatArray, moments: Sequence[EyeMoment
 
 
 def _draw_times(row: "Axes", time_s: FloatArray, stream: Stream) -> None:
-    """Stacked stages of every frame but the first, and percentiles of their sum."""
+    """Plot the stacked stages of every frame after the first, and percentiles of their sum."""
     timed = stream.frames[1:]
     stages = [costs(timed, name) for name, _ in _STAGES.values()]
     row.stackplot(

@@ -40,7 +40,7 @@ def preemptions() -> int:
 
 
 def resident_mb() -> float:
-    """Memory of this process; where the system does not say, its peak so far."""
+    """Return the memory of this process; its peak so far if the system does not report the memory."""
     if _STATM.exists():
         return int(_STATM.read_text().split()[1]) * resource.getpagesize() / 1e6
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -10,7 +10,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.viewpoint_filter import TrackingState
 
 SACCADE_MM = 1.0
-"""A viewpoint that moves farther than this from one frame to the next has jumped."""
+"""Motion of a viewpoint from one frame to the next above which it counts as a jump."""
 
 _NOT_CONVERGED = Status.NOT_CONVERGED.name.lower().replace("_", " ")
 
@@ -20,10 +20,10 @@ class EyeMoment:
     """One eye at one moment.
 
     Attributes:
-        viewpoint: (3,) to draw for, device frame, metres.
-        state: how it is known.
-        moved_mm: from the moment before.
-        brought_back: whether it lay beyond the model's reach, and is the nearest viewpoint within.
+        viewpoint: (3,) viewpoint to draw for, device frame, metres.
+        state: tracking state of the viewpoint.
+        moved_mm: distance from the previous moment's viewpoint.
+        brought_back: whether it was outside the model's range and replaced by the nearest viewpoint inside.
     """
 
     viewpoint: FloatArray
@@ -33,7 +33,7 @@ class EyeMoment:
 
     @property
     def jumped(self) -> bool:
-        """True if the viewpoint moved as in a saccade."""
+        """True if the viewpoint moved by a distance typical of saccades."""
         return self.moved_mm > SACCADE_MM
 
 
@@ -46,7 +46,7 @@ class StreamFrame:
         world_from_device: (4, 4) head pose when the frame begins.
         at_scan_out: (4, 4) head pose when the panels light up.
         eyes: viewpoint of each eye, by name.
-        head_lost: True while the head tracker has lost the head; the poses are then its last good one.
+        head_lost: True while the head tracker has lost the head; the poses are then the last good pose.
     """
 
     time_s: float
@@ -88,13 +88,13 @@ class Cost:
 
     @property
     def frame_ms(self) -> float:
-        """All of it, by the clock."""
+        """Total time of the frame, by the clock."""
         return self.draw_ms + self.compose_ms
 
 
 @dataclass(frozen=True, eq=False)
 class FrameNote:
-    """One frame.
+    """Records of one frame.
 
     Attributes:
         moment: state of the trackers for the frame.
@@ -107,7 +107,7 @@ class FrameNote:
     unsolved: Mapping[str, Mapping[str, int]]
 
     def not_converged(self, eye: str) -> int:
-        """Points of an eye's field whose solve did not converge."""
+        """Count the points of an eye's field whose solve did not converge."""
         return self.unsolved[eye].get(_NOT_CONVERGED, 0)
 
 
@@ -123,7 +123,7 @@ class MapCheck:
         moved_mm: motion of the viewpoint since the previous frame.
         kept_arcmin: error of the previous frame's map.
         own_arcmin: error of the frame's own map.
-        one_sided: points at which only one of the frame's own map and the exact one has a ray.
+        one_sided: number of points at which only one of the frame's own map and the exact map has a ray.
     """
 
     time_s: float
@@ -136,14 +136,14 @@ class MapCheck:
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """All frames of a stream, the first one warming up.
+    """All frames of a stream; the first frame is a warm-up.
 
     Attributes:
-        frames: in time order, two or more.
-        checks: of some frames' maps.
-        frames_per_second: of the trajectories.
-        late_ms: how long before scan-out a frame's head pose was taken.
-        renderer: what drew.
+        frames: two or more frames in time order.
+        checks: checks of some frames' maps.
+        frames_per_second: frame rate of the trajectories.
+        late_ms: time from a frame's head pose to its scan-out.
+        renderer: name of the renderer.
         size_px: (width, height) of each eye's picture.
     """
 
@@ -156,23 +156,23 @@ class Stream:
 
     @property
     def eyes(self) -> tuple[str, ...]:
-        """Names."""
+        """Names of the eyes."""
         return tuple(self.frames[0].moment.eyes)
 
     def moments(self, eye: str) -> list[EyeMoment]:
-        """One eye in all frames."""
+        """Return the moments of one eye in all frames."""
         return [frame.moment.eyes[eye] for frame in self.frames]
 
     def jumps(self) -> list[tuple[FrameNote, str]]:
-        """Frames and eyes whose viewpoint has jumped."""
+        """Return the frames and eyes whose viewpoint has jumped."""
         return [(frame, eye) for frame, eye in self._each() if frame.moment.eyes[eye].jumped]
 
     def dropped(self) -> list[tuple[FrameNote, str]]:
-        """Frames and eyes in which some point's solve did not converge."""
+        """Return the frames and eyes in which some point's solve did not converge."""
         return [(frame, eye) for frame, eye in self._each() if frame.not_converged(eye)]
 
     def resident_mb(self) -> tuple[float, float]:
-        """Memory: medians of the second and of the last tenth of the frames."""
+        """Return the median memory over the second and over the last tenth of the frames."""
         resident = np.array([frame.cost.resident_mb for frame in self.frames])
         tenth = max(1, len(resident) // 10)
         return float(np.median(resident[tenth : 2 * tenth])), float(np.median(resident[-tenth:]))

@@ -33,7 +33,7 @@ def tables_of(stream: Stream) -> tuple[ReportTable, ...]:
 
 
 def costs(frames: Iterable[FrameNote], name: str) -> FloatArray:
-    """(n,) of one attribute of `Cost`."""
+    """Return the values (n,) of one attribute of `Cost`."""
     return np.array([getattr(frame.cost, name) for frame in frames], dtype=np.float64)
 
 

@@ -33,7 +33,7 @@ from wlr_render.warp.compositor import Compositor
 from wlr_render.work.progress import SILENT, Progress
 
 LATEST_MS = 50.0
-"""Latency that late correction can make good."""
+"""Largest latency that late correction can compensate."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +66,12 @@ class SoakOptions(Options):
 
     @property
     def wearer(self) -> Wearer:
-        """Head and eyes."""
+        """Motion of head and eyes."""
         return Wearer(self.head, self.eye_track, self.seed)
 
 
 def run(options: SoakOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Draw all frames; writes soak.html, .md, .json and .png, and frames.csv.
+    """Draw all frames; write soak.html, .md, .json and .png, and frames.csv.
 
     Raises:
         BadInputError: faulty files, or trajectories that are too short.
@@ -95,7 +95,7 @@ def run(options: SoakOptions, *, progress: ProgressArgument = SILENT) -> Report:
 
 
 def draw(options: SoakOptions, models: Mapping[str, Eye], progress: Progress = SILENT) -> Stream:
-    """Draw all frames of some models, and write nothing.
+    """Draw all frames of some models without writing files.
 
     Raises:
         BadInputError: as `run`.

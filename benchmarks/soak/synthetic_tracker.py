@@ -7,21 +7,21 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.samples import require_ascending
 from wlr_render.tracking.trajectory import EYES, EyeTrajectory
 
-_BLINK_INTERVAL_S = (1.0, 60.0 / 17.0)  # shortest (ours); mean at rest (Bentivoglio et al. 1997)
+_BLINK_INTERVAL_S = (1.0, 60.0 / 17.0)  # shortest interval (our assumption); mean at rest (Bentivoglio et al. 1997)
 _PUPIL_HIDDEN_S = (0.1, 0.3)  # a blink covers the eye for at most 300 ms (Stern, Walrath & Goldstein 1984)
 _PUPIL_RADIUS_M = 0.002
-_CLOSING_S = 0.025  # 4 mm at 17-20 cm/s (Doane 1980)
+_CLOSING_S = 0.025  # time for 4 mm at 17-20 cm/s (Doane 1980)
 _OPENING_S = 0.04  # closing is 40-47 % quicker (Sforza et al. 2008)
-_DROPOUT_INTERVAL_S = (1.0, 5.0)  # shortest, mean; ours
-_DROPOUT_S = (0.005, 0.05)  # ours
+_DROPOUT_INTERVAL_S = (1.0, 5.0)  # shortest and mean interval, our assumption
+_DROPOUT_S = (0.005, 0.05)  # shortest and longest dropout, our assumption
 
 
 def tracker_samples(eyes: EyeTrajectory, time_s: FloatArray, seed: int) -> dict[str, list[FloatArray | None]]:
     """Return a tracker's samples at times (n,), per eye: the entrance pupil (3,), device frame, metres, or None.
 
-    Both eyes blink together. A lid that moves down or up across the pupil at a constant speed shifts the centre of its
-    visible part down (-y), by the pupil's radius when all is covered; then there is no sample. In addition, each eye
-    has its own short dropouts. Blinks and dropouts depend on the seed and the first time only.
+    Both eyes blink together. A lid that moves down or up across the pupil at constant speed shifts the centre of the
+    pupil's visible part down (-y), by the pupil's radius when all is covered; the sample is then missing. In addition,
+    each eye has its own short dropouts. Blinks and dropouts depend on the seed and the first time only.
 
     Args:
         eyes: the true movement.
@@ -49,7 +49,7 @@ def tracker_samples(eyes: EyeTrajectory, time_s: FloatArray, seed: int) -> dict[
 def _spells(
     rng: Generator, span_s: float, interval_s: tuple[float, float], length_s: tuple[float, float]
 ) -> FloatArray:
-    """Draw starts and ends (m, 2) of random events; intervals are a shortest one plus an exponential part."""
+    """Draw starts and ends (m, 2) of random events; intervals are the shortest interval plus an exponential part."""
     shortest_s, mean_s = interval_s
     uniform = rng.random((int(span_s / shortest_s) + 1, 2))  # row by row: a longer span starts with the same events
     start_s = np.cumsum(shortest_s - (mean_s - shortest_s) * np.log1p(-uniform[:, 0]))
@@ -57,12 +57,12 @@ def _spells(
 
 
 def _end_before(time_s: FloatArray, spells: FloatArray) -> FloatArray:
-    """(n,) when the last spell that began by each moment ends; -inf before the first."""
+    """Return the end (n,) of the last spell that began by each moment; -inf before the first."""
     return np.concatenate([[-np.inf], spells[:, 1]])[np.searchsorted(spells[:, 0], time_s, side="right")]
 
 
 def _start_after(time_s: FloatArray, spells: FloatArray) -> FloatArray:
-    """(n,) when the next spell begins after each moment; inf after the last."""
+    """Return the start (n,) of the next spell after each moment; inf after the last."""
     return np.concatenate([spells[:, 0], [np.inf]])[np.searchsorted(spells[:, 0], time_s, side="right")]
 
 

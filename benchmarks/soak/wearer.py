@@ -19,8 +19,8 @@ from wlr_render.tracking.viewpoint_filter import ViewpointFilter
 from wlr_render.warp.checks import nearest_in_reach
 
 JITTER_M = 20e-6
-"""Standard deviation, per axis, of a made-up tracker's samples: ours. Real ones never say the same twice, so that every
-frame needs a new map; a pupil exactly at rest would let it be kept."""
+"""Assumed standard deviation, per axis, of a synthetic tracker's samples. Real samples always differ, so that every
+frame needs a new map; with a pupil exactly at rest, the map could be kept."""
 
 _ROUNDING_S = 1e-9
 
@@ -49,7 +49,7 @@ class Wearer:
         Args:
             boxes: eye boxes by eye.
             count: number of frames, 2 or more.
-            frames_per_second: positive.
+            frames_per_second: frame rate, positive.
             late_s: time from the beginning of a frame to its scan-out.
 
         Raises:
@@ -107,12 +107,12 @@ class Wearer:
 
 
 def _newest_pose(head: HeadTrajectory, time_s: FloatArray) -> FloatArray:
-    """(n, 4, 4): interpolated between rows, but in a gap the last row's, as who draws knows no later one."""
+    """Return poses (n, 4, 4), interpolated between samples; in a gap, the last sample: later ones are not known yet."""
     return head.at(head.gaps_at(time_s).start_s)
 
 
 def _followed(samples: Samples, time_s: FloatArray, box: EyeBox) -> list[EyeMoment]:
-    """One eye's viewpoints through the filter, and within what its model takes."""
+    """Return one eye's viewpoints after the filter, clamped to the range of its model."""
     follow, last, moments = ViewpointFilter(box.centre), None, []
     for moment_s, sample in zip(time_s, samples, strict=True):
         tracked = follow.update(float(moment_s), sample)

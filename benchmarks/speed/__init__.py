@@ -1,1 +1,1 @@
-"""Benchmark of speed and accuracy of frames, against baselines."""
+"""Benchmark of the speed and accuracy of frames, against baselines."""
