@@ -97,6 +97,10 @@ class Panel:
         """(2,): width, height."""
         return np.array([self.width_px, self.height_px], dtype=np.float64)
 
+    def contains(self, pixel: FloatArray, margin: float = 1e-6) -> NDArray[np.bool_]:
+        """Return whether pixels (..., 2) lie on the panel (grown by `margin` pixels against rounding), (...) bool."""
+        return np.asarray(np.all((pixel >= -margin) & (pixel <= self.size_px + margin), axis=-1))
+
     def pixel_centres(self) -> FloatArray:
         """Return the centres of all pixels, shape (height, width, 2)."""
         u, v = np.meshgrid(np.arange(self.width_px) + 0.5, np.arange(self.height_px) + 0.5)

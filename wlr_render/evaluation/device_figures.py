@@ -187,7 +187,6 @@ def _field_angles(display: DisplayMapping, centre: FloatArray) -> FieldAngles:
         view_dir = dir_of_tangents(np.tan(np.deg2rad(_SEARCH_DEG))[:, None] * axis)
         answer = display.pixel_of_view_dir(view_dir, centre)
         # A fitted model may extrapolate beyond the panel.
-        on_panel = np.all((answer.value >= 0.0) & (answer.value <= display.panel.size_px), axis=-1)
-        seen = _SEARCH_DEG[answer.ok & on_panel]
+        seen = _SEARCH_DEG[answer.ok & display.panel.contains(answer.value)]
         ends += [float(seen[0]), float(seen[-1])] if seen.size else [np.nan, np.nan]
     return FieldAngles(*ends)

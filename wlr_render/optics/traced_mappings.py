@@ -40,7 +40,6 @@ _PIXEL_TOLERANCE = 1e-9  # tolerance of solved pixels
 _ANGLE_TOLERANCE = 1e-13  # tolerance of solved directions, radians
 _MOST_UNSOLVED = 0.2  # largest share of unsolved pixels: an unsolved pixel takes a thousand times as long as others
 _WAVELENGTHS_UM = 0.3, 3.0
-_EDGE_PX = 1e-6  # distance outside the panel that still counts as on it, so that its edge survives rounding
 
 
 def _fit_first_guess(display: "TracedDisplay") -> Polynomial:
@@ -153,7 +152,7 @@ class TracedDisplay(_Traced):
     ) -> QueryResult:
         """Answer the backward query by one trace: CLIPPED outside the panel, MISS if the ray does not meet it."""
         pixel, status = self.plane_pixel(view_dir, viewpoint)
-        outside = ~self._on_panel(pixel)
+        outside = ~self.panel.contains(pixel)
         return _mapped(pixel, np.where((status == Status.OK) & outside, Status.CLIPPED, status))
 
     def view_dir_of_pixel(
@@ -162,7 +161,7 @@ class TracedDisplay(_Traced):
         """Answer the forward query, solved to 1e-9 pixels; CLIPPED for pixels outside the panel."""
         lead = np.broadcast_shapes(pixel.shape[:-1], viewpoint.shape[:-1])
         wanted, eyes = _flat(pixel, lead), _flat(viewpoint, lead)
-        outside = ~self._on_panel(wanted)
+        outside = ~self.panel.contains(wanted)
         start = np.full_like(wanted, np.nan) if warm_start is None else warm_start.reshape(wanted.shape).copy()
         cold = ~outside & ~_found(start)
         # A first guess costs more than hundreds of queries, and fails for a display that cannot be solved.
@@ -175,9 +174,6 @@ class TracedDisplay(_Traced):
         status = np.where(_found(tangents), self.plane_pixel(view_dir, eyes)[1], Status.NOT_CONVERGED)
         status = np.where(outside, Status.CLIPPED, status)
         return _mapped(view_dir.reshape(*lead, 3), status.reshape(lead), tangents.reshape(*lead, 2))
-
-    def _on_panel(self, pixel: FloatArray) -> NDArray[np.bool_]:
-        return np.asarray(np.all((pixel >= -_EDGE_PX) & (pixel <= self.panel.size_px + _EDGE_PX), axis=-1))
 
     def plane_pixel(self, view_dir: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, StatusArray]:
         """Return the pixel (..., 2) on the panel, continued beyond its edges, even for CLIPPED rays, and the status."""

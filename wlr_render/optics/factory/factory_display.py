@@ -12,7 +12,7 @@ from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV
 from wlr_render.mappings import Panel, QueryResult, Status
 from wlr_render.numerics import newton
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 IMAGE_M = 2.0
@@ -24,7 +24,6 @@ No format states this distance. It determines how directions change with the pup
 _GUESS_DEGREE, _GUESS_GRID = 5, 25
 _STEP_PX = 1e-3  # step of the finite differences by pixel
 _TOLERANCE = 1e-13  # tolerance of the solved tangents
-_EDGE_PX = 1e-6  # distance outside the panel that still counts as on it
 
 PixelTangents = Callable[[FloatArray], FloatArray]
 """Pixels (..., 2) -> tangents (..., 2), x right and y down, in the axes of the display."""
@@ -123,7 +122,7 @@ class FactoryDisplay:
         tangents = self.tangents(np.asarray(pixel, np.float64))
         image = IMAGE_M * np.concatenate([tangents, np.ones_like(tangents[..., :1])], axis=-1)
         view_dir = normalised(transforms.apply(self.device_from_display, image) - viewpoint)
-        on_panel = np.broadcast_to(self._on_panel(np.asarray(pixel)), view_dir.shape[:-1])
+        on_panel = np.broadcast_to(self.panel.contains(np.asarray(pixel)), view_dir.shape[:-1])
         return _answer(view_dir, np.where(on_panel, Status.OK, Status.CLIPPED))
 
     def pixel_of_view_dir(
@@ -146,14 +145,11 @@ class FactoryDisplay:
             return here - wanted[index], np.stack(steps, axis=-1)
 
         root = newton.solve_2x2(residual, start, _TOLERANCE)
-        solved, on_panel = (each.reshape(ahead.shape) for each in (root.converged, self._on_panel(root.unknown)))
+        solved, on_panel = (each.reshape(ahead.shape) for each in (root.converged, self.panel.contains(root.unknown)))
         status = np.where(solved, np.where(on_panel, Status.OK, Status.CLIPPED), Status.NOT_CONVERGED)
         inside = np.all((wanted > guess.box.low) & (wanted < guess.box.high), axis=-1).reshape(ahead.shape)
         status = np.where(inside, status, Status.CLIPPED)
         return _answer(root.unknown.reshape(*ahead.shape, 2), np.where(ahead, status, Status.MISS))
-
-    def _on_panel(self, pixel: FloatArray) -> BoolArray:
-        return np.asarray(np.all((pixel >= -_EDGE_PX) & (pixel <= self.panel.size_px + _EDGE_PX), axis=-1))
 
     @cached_property
     def _guess(self) -> Polynomial:
