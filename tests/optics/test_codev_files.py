@@ -369,8 +369,7 @@ def test_many_private_indices_are_fitted(tmp_path: Path) -> None:
         (SEQ, "LEN\n", "has 0 surfaces"),
     ],
 )  # fmt: skip
-def test_faults_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, sentence: str) -> None:
-    monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
+def test_faults_are_named(tmp_path: Path, without_optiland: None, old: str, new: str, sentence: str) -> None:
     assert old in SEQ
     with pytest.raises(BadInputError, match=rf"lens\.seq: .*{sentence}"):
         lens_of(tmp_path, SEQ.replace(old, new))

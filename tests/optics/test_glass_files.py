@@ -9,16 +9,13 @@ import pytest
 from present import present
 
 from wlr_render.errors import BadInputError
-from wlr_render.optics.glass_files import SHIPPED, read_glass_file, shipped_entries, shipped_glasses
+from wlr_render.optics.glass_files import SHIPPED, shipped_entries, shipped_glasses
 from wlr_render.optics.lens_files.glass_catalogues import Glass, GlassCatalogue
 from wlr_render.optics.media import AIR, FRAUNHOFER_F_D_C_UM
 
+pytestmark = pytest.mark.usefixtures("without_optiland")
+
 LINES_UM = (0.4, 0.45, 0.5875618, 0.65, 0.7)
-
-
-@pytest.fixture(autouse=True)
-def _without_optiland(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
 
 
 def glass(tmp_path: Path, formula: int | str, coefficients: str, more: str = "") -> Glass:
@@ -176,9 +173,3 @@ def test_of_two_catalogues_with_one_name_that_of_the_lens_file_counts(tmp_path: 
         for makers in ((), ("SCHOTT", "CDGM"), ("CDGM", "SCHOTT"))
     ]
     assert found == [1.6, 1.5, 1.6]
-
-
-def test_a_glass_file_names_the_first_of_two_glasses(tmp_path: Path) -> None:
-    path = tmp_path / "two.agf"
-    path.write_text("NM A 1 0 1.5 40\nCD 2.25 0 0 0 0 0\nNM A 1 0 1.5 40\nCD 4 0 0 0 0 0\n")
-    assert read_glass_file(path)["A"].medium().index(0.5) == 1.5

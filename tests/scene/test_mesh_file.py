@@ -39,16 +39,36 @@ def png(image: NDArray[np.uint8]) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
 
 
+def stored(*parts: NDArray[Any]) -> dict[str, Any]:
+    """Keys of `gltf`: a buffer of these parts, with a view of each."""
+    starts, blob = np.cumsum([0, *(each.nbytes for each in parts)]).tolist(), b"".join(each.tobytes() for each in parts)
+    views = [{"buffer": 0, "byteOffset": at, "byteLength": n.nbytes} for at, n in zip(starts, parts, strict=False)]
+    uri = "data:application/octet-stream;base64," + base64.b64encode(blob).decode()
+    return {"bufferViews": views, "buffers": [{"byteLength": len(blob), "uri": uri}]}
+
+
+def accessor(view: int, kind: str, count: int = 3, component: int = 5126) -> dict[str, Any]:
+    """Numbers of a view, floats if no other component is named."""
+    return {"bufferView": view, "componentType": component, "count": count, "type": kind}
+
+
+def accessors(**changes: Any) -> list[Any]:
+    """Positions, indices and texture coordinates of `gltf`, the first one changed."""
+    return [accessor(0, "VEC3") | changes, accessor(1, "SCALAR", component=5125), accessor(2, "VEC2")]
+
+
+TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+UV = ((0, 0), (1, 0), (0, 1))
+
+
 def gltf(
     folder: Path,
-    positions: Sequence[Sequence[float]] = ((0, 0, 0), (1, 0, 0), (0, 1, 0)),
+    positions: Any = TRIANGLE,
     indices: Sequence[int] = (0, 1, 2),
+    uv: Sequence[Sequence[float]] = UV,
     **changes: Any,
 ) -> Path:
-    """One triangle as glTF; uv (0, 0), (1, 0), (0, 1); `changes` replace or add top-level keys."""
-    uv = np.array([[0, 0], [1, 0], [0, 1]], np.float32).tobytes()
-    blob = np.array(positions, np.float32).tobytes() + np.array(indices, np.uint32).tobytes() + uv
-    starts, lengths = (0, 36, 48), (36, 12, 24)
+    """One triangle as glTF; `changes` replace or add top-level keys."""
     content = {
         "asset": {"version": "2.0"},
         "scene": 0,
@@ -61,15 +81,8 @@ def gltf(
             }
         ],
         "materials": [{"pbrMetallicRoughness": {"baseColorFactor": [0.2, 0.4, 0.6, 1]}}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"},
-            {"bufferView": 2, "componentType": 5126, "count": 3, "type": "VEC2"},
-        ],
-        "bufferViews": [{"buffer": 0, "byteOffset": s, "byteLength": n} for s, n in zip(starts, lengths, strict=True)],
-        "buffers": [
-            {"byteLength": 72, "uri": "data:application/octet-stream;base64," + base64.b64encode(blob).decode()}
-        ],
+        "accessors": accessors(),
+        **stored(np.array(positions, np.float32), np.array(indices, np.uint32), np.array(uv, np.float32)),
     }
     path = folder / "wedge.gltf"
     path.write_text(json.dumps(content | changes))
@@ -92,16 +105,12 @@ def obj(
     return path
 
 
-def ply(
-    folder: Path,
-    vertices: tuple[str, str, str] = ("0 0 0 255 188 0", "1 0 0 0 0 0", "0 1 0 0 0 0"),
-    face: str = "0 1 2",
-) -> Path:
+def ply(folder: Path) -> Path:
     header = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(f"property float {a}\n" for a in "xyz")
     header += "".join(f"property uchar {a}\n" for a in ("red", "green", "blue"))
     header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     path = folder / "wedge.ply"
-    path.write_text(header + "\n".join(vertices) + f"\n3 {face}\n")
+    path.write_text(header + "0 0 0 255 188 0\n1 0 0 0 0 0\n0 1 0 0 0 0\n3 0 1 2\n")
     return path
 
 
@@ -197,18 +206,9 @@ def test_ply_vertex_colours_are_made_linear(tmp_path: Path) -> None:
 def test_a_gltf_without_normals_is_flat(tmp_path: Path) -> None:
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1]], np.uint32)
-    blob = corners.tobytes() + faces.tobytes()
-    path = gltf(
-        tmp_path,
-        meshes=[{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        accessors=[
-            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5125, "count": 9, "type": "SCALAR"},
-        ],
-        bufferViews=[{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 36}],
-        buffers=[{"byteLength": 84, "uri": "data:;base64," + base64.b64encode(blob).decode()}],
-    )
-    mesh = load_meshes(path).meshes[0]
+    meshes = [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}]
+    read = [accessor(0, "VEC3", 4), accessor(1, "SCALAR", 9, 5125)]
+    mesh = load_meshes(gltf(tmp_path, meshes=meshes, accessors=read, **stored(corners, faces))).meshes[0]
     expected = np.repeat([[0, 0, 1], [1, 0, 0], [0, 1, 0]], 3, axis=0)
     np.testing.assert_allclose(mesh.normal[mesh.triangles.ravel()], expected, atol=1e-7)
 
@@ -293,38 +293,17 @@ def chain(count: int) -> list[Any]:
     return [{"children": [i + 1]} for i in range(count)] + [{"mesh": 0}]
 
 
-def accessors(**changes: Any) -> list[Any]:
-    """Those of `gltf`, the first one changed."""
-    rows = ((5126, "VEC3"), (5125, "SCALAR"), (5126, "VEC2"))
-    stated = [{"bufferView": i, "componentType": c, "count": 3, "type": t} for i, (c, t) in enumerate(rows)]
-    return [stated[0] | changes, *stated[1:]]
-
-
 def sparse(indices: Sequence[Any]) -> dict[Any, Any]:
     """The sparse part of the positions, with its indices and values in the last two views of `moved_corner`."""
-    return {
-        "count": len(indices),
-        "indices": {"bufferView": 3, "componentType": 5125},
-        "values": {"bufferView": 4},
-    }
+    stated = {"indices": {"bufferView": 3, "componentType": 5125}, "values": {"bufferView": 4}}
+    return {"count": len(indices), **stated}
 
 
 def moved_corner(indices: Sequence[Any]) -> dict[Any, Any]:
     """Keys of `gltf` with sparse positions: the corners with these indices are (5, 6, 7)."""
-    content = np.array(indices, np.uint32).tobytes() + np.tile(np.array([5, 6, 7], np.float32), len(indices)).tobytes()
-    starts = np.cumsum([0, 36, 12, 24, 4 * len(indices)]).tolist()
-    lengths = (36, 12, 24, 4 * len(indices), 12 * len(indices))
-    blob = (
-        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32).tobytes()
-        + np.array([0, 1, 2], np.uint32).tobytes()
-        + bytes(24)
-        + content
-    )
-    return {
-        "accessors": accessors(sparse=sparse(indices)),
-        "bufferViews": [{"buffer": 0, "byteOffset": s, "byteLength": n} for s, n in zip(starts, lengths, strict=True)],
-        "buffers": [{"byteLength": len(blob), "uri": "data:;base64," + base64.b64encode(blob).decode()}],
-    }
+    corners = np.tile(np.array([5, 6, 7], np.float32), len(indices))
+    parts = np.array([0, 1, 2], np.uint32), np.array(UV, np.float32), np.array(indices, np.uint32), corners
+    return {"accessors": accessors(sparse=sparse(indices)), **stored(TRIANGLE, *parts)}
 
 
 def binary_ply(folder: Path, corners: tuple[int, ...]) -> Path:
@@ -392,7 +371,6 @@ TEXTURED: dict[str, Any] = {
         (lambda d: d / "none.glb", "there is no such file"),
         (lambda d: d / "model.fbx", "cannot read '.fbx' files"),
         (lambda d: gltf(d, positions=[[0, 0, 0], [1, 0, 0], [0, np.nan, 0]]), "mesh 'wedge' has a vertex that is not"),
-        (lambda d: gltf(d, positions=[[0, 0, 0], [1, 0, 0], [0, np.inf, 0]]), "mesh 'wedge' has a vertex that is not"),
         (lambda d: gltf(d, indices=[0, 1, 7]), "mesh 'wedge' refers to a vertex beyond its 3"),
         (lambda d: gltf(d, indices=[0, 1, 1]), "mesh 'wedge' has no triangles with an area"),
         (lambda d: gltf(d, meshes=[], nodes=[{}]), "holds no triangles"),
@@ -451,7 +429,6 @@ TEXTURED: dict[str, Any] = {
             "mesh 'wedge': its base texture has no picture that is read (KHR_texture_basisu); export PNG or JPEG",
         ),
         (lambda d: gltf(d, accessors=accessors(componentType=5125)), "POSITION is not of type VEC3 in floats"),
-        (lambda d: gltf(d, accessors=accessors(type="VEC2")), "POSITION is not of type VEC3 in floats"),
         (
             lambda d: gltf(d, accessors=[accessors()[0], accessors()[0], accessors()[2]]),
             "its indices are not of type SCALAR",
@@ -475,11 +452,9 @@ TEXTURED: dict[str, Any] = {
         (lambda d: gltf(d, **TEXTURED), "refers to number 0 of 'images', which has 0 entries"),
         (lambda d: obj(d, mtl="newmtl m\nmap_Kd ../t.png\n"), "'../t.png' leads out of the folder"),
         (lambda d: obj(d, mtl="newmtl n\n"), "uses the material 'm', which 'wedge.mtl' lacks"),
-        (lambda d: obj(d, faces="f 0/1 2/2 3/3\n"), "line 9: has vertex 0"),
         (lambda d: gltf(d, buffers=[{"byteLength": 72, "uri": "data:,base64,AAAA"}]), "has 11 bytes, not 72"),
         (lambda d: obj(d, faces="f 1/1 2/2 0/3\n"), "line 9: has vertex 0, but they are counted from 1"),
         (lambda d: obj(d, mtl="newmtl m\nKd nan 0 0\n"), "'Kd' is 'nan 0 0', not three numbers"),
-        (lambda d: obj(d, mtl="newmtl m\nKd red\n"), "'Kd' is 'red', not three numbers"),
         (lambda d: obj(d, faces="f 1/1 2/2\n"), "line 9: has fewer than three numbers"),
         (lambda d: obj(d, faces="f 1/1 2/2 3/9\n"), "refers to 'vt' number 9 of 3"),
         (lambda d: obj(d, faces="f 1//1 2//1 3//1\n"), "refers to 'vn' number 1 of 0"),
@@ -494,7 +469,6 @@ TEXTURED: dict[str, Any] = {
             "promises at least 15000000000 bytes but has",
         ),
         (lambda d: binary_ply(d, (3, 9)), "ends within the 2 rows of 'face' that it promises"),
-        (lambda d: binary_ply(d, (200,)), "ends within the 1 rows of 'face' that it promises"),
         (lambda d: changed(ply(d), b"255 188 0", b"300 188 0"), "row 1 of 'vertex': 'red' is '300', not a byte"),
         (lambda d: changed(ply(d), b"3 0 1 2", b"3 0 1 2 2"), "row 1 of 'face' has 5 numbers"),
         (lambda d: changed(ply(d), b"0 255 188 0", b"0 1 255 188 0"), "row 1 of 'vertex' has 7 numbers"),
@@ -503,8 +477,6 @@ TEXTURED: dict[str, Any] = {
         (lambda d: obj(d, mtl=""), "its file wedge.mtl is missing"),
         (lambda d: obj(d, faces="f 1/1 2/2 9/3\n"), "refers to 'v' number 9 of 3"),
         (lambda d: obj(d, faces="p 1\nl 1 2\n"), "holds no triangles (not drawn: points, lines); export it again"),
-        (lambda d: ply(d, face="0 1 7"), "refers to a vertex beyond its 3"),
-        (lambda d: ply(d, vertices=("0 0 0 0 0 0", "1 0 nan 0 0 0", "0 1 0 0 0 0")), "a vertex that is not finite"),
     ],
 )
 def test_a_faulty_file_is_refused_with_its_name(tmp_path: Path, make: Callable[..., Any], complaint: str) -> None:
@@ -577,7 +549,7 @@ def test_animations_skins_and_extensions_of_nodes_are_named(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("sampler", "uv", "keys"),
+    ("sampler", "v", "keys"),
     [
         ({"wrapS": 33071, "wrapT": 33648}, 1.5, "wrapT MIRRORED_REPEAT"),
         ({"wrapS": 33071, "wrapT": 33071}, -0.5, "wrapT CLAMP_TO_EDGE"),
@@ -587,14 +559,9 @@ def test_animations_skins_and_extensions_of_nodes_are_named(tmp_path: Path) -> N
     ],
 )
 def test_samplers_that_differ_from_what_is_drawn_are_named(
-    tmp_path: Path, sampler: Mapping[str, int], uv: float, keys: str
+    tmp_path: Path, sampler: Mapping[str, int], v: float, keys: str
 ) -> None:
-    path = gltf(tmp_path, **textured(sampler))
-    content = json.loads(path.read_text())
-    blob = base64.b64decode(content["buffers"][0]["uri"].partition(",")[2])
-    blob = blob[:-4] + np.float32(uv).tobytes()  # v of the last vertex
-    content["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(blob).decode()
-    path.write_text(json.dumps(content))
+    path = gltf(tmp_path, uv=(*UV[:2], (0, v)), **textured(sampler))
     assert load_meshes(path).not_drawn == ((f"{keys} of 'm' in wedge.gltf",) if keys else ())
 
 
@@ -646,7 +613,7 @@ def test_primitives_of_a_mesh_are_instances_with_names_that_do_not_change(tmp_pa
 def test_a_base_texture_uses_its_own_coordinates(tmp_path: Path) -> None:
     keys = textured(texCoord=1)
     # TEXCOORD_0 reads numbers of the positions.
-    other = [*accessors(), {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC2"}]
+    other = [*accessors(), accessor(0, "VEC2")]
     attributes = {"POSITION": 0, "TEXCOORD_0": 3, "TEXCOORD_1": 2}
     mesh = load_meshes(gltf(tmp_path, meshes=wedge(attributes=attributes), accessors=other, **keys)).meshes[0]
     np.testing.assert_allclose(present(mesh.uv), [[0, 0], [1, 0], [0, 1]])
@@ -681,15 +648,6 @@ def test_a_file_elsewhere_is_read_if_the_user_trusts_the_mesh(tmp_path: Path) ->
         assert present(load_meshes(path).meshes[0].texture).shape == (2, 2, 3)
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".obj", ".ply"])
-def test_rubbish_and_empty_files_are_refused(tmp_path: Path, suffix: str) -> None:
-    for content in (b"", b"rubbish", bytes(range(256))):
-        path = tmp_path / f"rubbish{suffix}"
-        path.write_bytes(content)
-        with pytest.raises(BadInputError, match="rubbish"):
-            load_meshes(path)
-
-
 def test_a_broken_texture_is_refused(tmp_path: Path) -> None:
     path = obj(tmp_path)
     (tmp_path / "t.png").write_bytes(b"not a picture")
@@ -704,17 +662,9 @@ def test_a_broken_texture_is_refused(tmp_path: Path) -> None:
 )
 def test_strips_and_fans_become_triangles(tmp_path: Path, mode: int, faces: Sequence[list[int]], indexed: bool) -> None:
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.2, 2, 0]], np.float32)
-    blob = corners.tobytes() + np.array([0, 1, 2, 3, 4], np.uint8).tobytes() + bytes(3)
-    path = gltf(
-        tmp_path,
-        meshes=[{"primitives": [{"attributes": {"POSITION": 0}, "mode": mode} | ({"indices": 1} if indexed else {})]}],
-        accessors=[
-            {"bufferView": 0, "componentType": 5126, "count": 5, "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5121, "count": 5, "type": "SCALAR"},
-        ],
-        bufferViews=[{"buffer": 0, "byteLength": 60}, {"buffer": 0, "byteOffset": 60, "byteLength": 5}],
-        buffers=[{"byteLength": 68, "uri": "data:;base64," + base64.b64encode(blob).decode()}],
-    )
+    meshes = [{"primitives": [{"attributes": {"POSITION": 0}, "mode": mode} | ({"indices": 1} if indexed else {})]}]
+    read = [accessor(0, "VEC3", 5), accessor(1, "SCALAR", 5, 5121)]
+    path = gltf(tmp_path, meshes=meshes, accessors=read, **stored(corners, np.arange(5, dtype=np.uint8)))
     mesh = load_meshes(path).meshes[0]
     np.testing.assert_array_equal(mesh.position[mesh.triangles], corners[faces])
 
