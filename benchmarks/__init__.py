@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-# The second tracer and the generator of hidden effects are part of the tests: `oracle`.
+# The second tracer and the generator of hidden effects belong to the tests, in `oracle`.
 _TESTS = str(Path(__file__).resolve().parent.parent / "tests")
 if _TESTS not in sys.path:
     sys.path.append(_TESTS)

@@ -32,7 +32,7 @@ BENCHMARKS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one benchmark; return the exit status: 0, 2 for bad input, 130 or 143 when interrupted."""
+    """Run one benchmark; return the exit status: 0, 2 for bad input, or 130 or 143 if interrupted."""
     from wlr_render.cli import run_app
 
     return run_app(make_app, arguments)

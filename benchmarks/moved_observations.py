@@ -40,7 +40,7 @@ def self_inconsistency_arcmin(
     `distance_m` (...) farther back on the same ray, where it must be the same.
 
     Returns:
-        (...) arcminutes, zero for any real display; NaN where the mapping has no value.
+        Angles (...) in arcminutes, zero for any real display; NaN where the mapping has no value.
     """
     first = candidate.view_dir_of_pixel(pixel, viewpoint).value
     behind = viewpoint - np.asarray(distance_m)[..., None] * first

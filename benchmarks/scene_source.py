@@ -12,16 +12,16 @@ class SceneSource:
     """Draws one scene for a compositor, in its context."""
 
     def __init__(self, compositor: Compositor, scene: Scene | SceneRaster) -> None:
-        """Prepare; a `SceneRaster` must use the compositor's context."""
+        """Prepare the drawing; a `SceneRaster` must use the compositor's context."""
         self._compositor = compositor
         self._raster = scene if isinstance(scene, SceneRaster) else SceneRaster(compositor.context, scene)
 
     def submit(self, camera: EyeCamera) -> GpuImage:
-        """Draw for an eye, submit the picture and return it."""
+        """Draw the picture of an eye, submit it and return it."""
         image = self._raster.draw_on_gpu(camera.view, camera.eye)
         self._compositor.submit(image, eye=camera.eye)
         return image
 
     def read(self, view: View) -> GeometryImage:
-        """Draw from any view and fetch the picture."""
+        """Draw from any view and fetch the picture into CPU memory."""
         return self._raster.draw(view)

@@ -27,14 +27,14 @@ SILHOUETTE_PX = 2
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """One eye of a headset, one scene, and what draws them both ways.
+    """One eye of a headset, one scene, and the objects that draw them in both ways.
 
     Attributes:
         mappings: the eye; the display's picture is its panel.
-        compositor: of the eye.
-        source: draws the scene for it.
-        plan: of the eye's exact rays.
-        tracer: of the scene, for those rays.
+        compositor: compositor of the eye.
+        source: engine that draws the scene for the compositor.
+        plan: plan of the eye's exact rays.
+        tracer: tracer of the scene, for these rays.
     """
 
     mappings: Eye
@@ -45,7 +45,7 @@ class Subject:
 
 
 def subject(mappings: Eye, scene: Scene, context: str = "auto") -> Subject:
-    """Everything ready; release its compositor."""
+    """Return a prepared subject; the caller releases its compositor."""
     panel = mappings.display.panel
     compositor = Compositor(mappings, (panel.width_px, panel.height_px), context=context)
     return Subject(mappings, compositor, SceneSource(compositor, scene), choose_plan(mappings), SceneTracer(scene))
@@ -58,7 +58,7 @@ class ScanOutPose:
     Attributes:
         viewpoint: (3,) device frame.
         pose: (4, 4) world_from_device, when the first row lights up.
-        pose_at_last_row: when the last one does; None for a display that lights up at once.
+        pose_at_last_row: pose when the last row lights up; None for a display that lights up at once.
     """
 
     viewpoint: FloatArray
@@ -67,11 +67,11 @@ class ScanOutPose:
 
     @property
     def at_once(self) -> "ScanOutPose":
-        """Pose with all rows at the time of the first."""
+        """Copy with all rows at the time of the first row."""
         return replace(self, pose_at_last_row=None)
 
     def row_poses(self, rows: int) -> FloatArray:
-        """(rows, 4, 4)."""
+        """Return the poses (rows, 4, 4) of the display's rows."""
         last = self.pose if self.pose_at_last_row is None else self.pose_at_last_row
         return transforms.between(self.pose, last, np.linspace(0.0, 1.0, rows))
 
@@ -81,11 +81,11 @@ class Landing:
     """Comparison of a composed frame with the ray-traced one.
 
     Attributes:
-        rms_arcmin, worst_arcmin: angles at the eye between the world points that both show at a pixel, SILHOUETTE_PX
-            away from silhouettes and from disoccluded pixels.
+        rms_arcmin, worst_arcmin: angles at the eye between the world points that both frames show at a pixel, at pixels
+            SILHOUETTE_PX or more from silhouettes and from disoccluded pixels.
         pixels: number of these pixels.
         disoccluded: pixels that the drawn picture cannot show correctly.
-        one_sided: pixels as far from silhouettes where only one of the two shows anything.
+        one_sided: such pixels at which only one of the two frames shows anything.
     """
 
     rms_arcmin: float
@@ -111,7 +111,7 @@ class Truth:
 
 
 def truth(on: Subject, scan_out: ScanOutPose) -> Truth:
-    """Trace each row's rays from where the head is when it lights up."""
+    """Trace each row's rays from the head's pose when the row lights up."""
     field = ray_map(on.mappings, scan_out.viewpoint, on.plan)
     shape = (*field.shape, 3)
     origin, direction = (each.reshape(shape) for each in field.world_rays(np.eye(4)))
@@ -128,7 +128,7 @@ def truth(on: Subject, scan_out: ScanOutPose) -> Truth:
 
 
 def landing(on: Subject, seen: Truth, drawn: ScanOutPose, composed: ScanOutPose) -> Landing:
-    """Draw for one scan-out, compose for another, and compare with what should be seen in a third."""
+    """Draw for one scan-out, compose for a second, and compare with the correct view at a third."""
     (camera,) = on.compositor.begin_frame(drawn.pose, drawn.viewpoint).values()
     on.source.submit(camera)
     frame = on.compositor.compose(
@@ -150,7 +150,7 @@ def landing(on: Subject, seen: Truth, drawn: ScanOutPose, composed: ScanOutPose)
 
 
 def disoccluded_at_pupil(on: Subject, seen: Truth) -> int:
-    """Pixels that a picture cannot show right which is drawn from the pupil itself."""
+    """Count the pixels that a picture drawn from the pupil itself cannot show correctly."""
     return int(_hidden(on, seen, transforms.apply(seen.scan_out.pose, seen.scan_out.viewpoint)).sum())
 
 
@@ -159,23 +159,23 @@ def _hidden(on: Subject, seen: Truth, place_in_world: FloatArray) -> NDArray[np.
 
 
 def _in_device(row_poses: FloatArray, position: NDArray[np.floating]) -> FloatArray:
-    """World points (rows, columns, 3) as they lie before the headset when their row lights up."""
+    """Return world points (rows, columns, 3) in the device frame at the time their row lights up."""
     rotation, translation = row_poses[:, :3, :3], row_poses[:, None, :3, 3]
     return np.asarray(np.matmul(position - translation, rotation))
 
 
 EDGE_STEP = 0.02
-"""Relative difference of inverse distance between neighbouring pixels from which they belong to different surfaces."""
+"""Relative difference of inverse distance above which neighbouring pixels belong to different surfaces."""
 
 
 def near_silhouettes(
     position: NDArray[np.floating], eye_in_world: NDArray[np.float64], reach_px: int
 ) -> NDArray[np.bool_]:
-    """Mask of pixels near edges between surfaces at different distances.
+    """Return the mask of pixels near edges between surfaces at different distances.
 
     Args:
-        position: (height, width, 3) world points that a frame shows, NaN where nothing.
-        eye_in_world: (3,) the viewpoint.
+        position: (height, width, 3) world points that a frame shows, NaN for none.
+        eye_in_world: (3,) viewpoint.
         reach_px: distance from the edge, along rows and columns.
 
     Returns:

@@ -23,9 +23,9 @@ from wlr_render.warp.ray_map import solve_pixels
 DEVICES = "northstar", "freeform40", "birdbath28"
 SCENES = "desk", "sculpture"
 LANDING_GOAL_ARCMIN, CUT_GOAL_PERCENT = 0.0054, 84.6
-"""Figures of version 0.1.0, whose maps were solved at some 63,000 points: not to become worse."""
+"""Goals: the figures of version 0.1.0, with maps that were solved at some 63,000 points."""
 PLACES = np.array([[0.5, -0.4, 0.3], [-0.9, 0.9, -0.9]])
-"""In the eye box, -1..1, where frames are compared."""
+"""Positions in the eye box, -1..1, at which frames are compared."""
 _LATE_PLACE = np.array([0.2, -0.3, 0.1])
 JUDGED_PLACES = np.array([[0.0, 0, 0], [1, 1, 1], [-1, -1, -1], [0.3, -0.6, 0.8]])
 _PIXELS = 20_000
@@ -57,7 +57,7 @@ def _ray_map_row(device: str, mappings: Eye, context: str) -> list[Cell]:
 
 
 def ray_map_error_arcmin(solve: GlPlanarSolver, mappings: Eye, warp_grid: WarpGrid) -> FloatArray:
-    """Return errors at pixel centres, (places, pixels), of a solve on that warp grid; NaN without a ray."""
+    """Return errors (places, pixels) at pixel centres of a solve on a warp grid; NaN without a ray."""
     pixel = np.floor(np.random.default_rng(4).uniform(0, mappings.display.panel.size_px, (_PIXELS, 2))) + 0.5
     errors = []
     for viewpoint in mappings.eye_box.at(JUDGED_PLACES):
@@ -88,7 +88,7 @@ def landing_part(models: Mapping[str, Eye], scenes: Sequence[str], context: str)
 
 
 def landing_figures(rows: Sequence[Sequence[Cell]]) -> list[Figure]:
-    """Range of rms and of cut over rows of the table; the goals are for the worst."""
+    """Return the ranges of rms and of cut over the table's rows; the goals apply to the worst row."""
     rms, cut = (np.array([row[column] for row in rows], float) for column in (1, 5))
     return [
         Figure(
@@ -109,7 +109,7 @@ def landing_figures(rows: Sequence[Sequence[Cell]]) -> list[Figure]:
 
 
 def landing_row(device: str, mappings: Eye, scene: str, context: str) -> list[Cell]:
-    """Its row, over all `PLACES`."""
+    """Return a row of the table, over all `PLACES`."""
     on = subject(mappings, load_scene(scene), context)
     try:
         seen = [truth(on, ScanOutPose(viewpoint, HEAD_POSE)) for viewpoint in mappings.eye_box.at(PLACES)]
@@ -149,7 +149,7 @@ def late_table(device: str, mappings: Eye, scene: str, context: str) -> ReportTa
 
 
 def late_rows(on: Subject) -> list[list[Cell]]:
-    """One row for each movement, and for a rolling scan-out."""
+    """Return one row for each movement, and for a rolling scan-out."""
     viewpoint, pose = on.mappings.eye_box.at(_LATE_PLACE), HEAD_POSE
     drawn = ScanOutPose(viewpoint, pose)
     turned = transforms.rigid(later_pose(pose)[:3, :3], pose[:3, 3])

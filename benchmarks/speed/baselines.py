@@ -1,7 +1,7 @@
 """Baselines: raw Embree, and a bare OpenGL pass with a fixed warp map.
 
-They call their libraries directly, because a baseline that went through our own layers would
-measure those. The shaded pass has our shaders' text, so that both sides compute the same colours.
+They call their libraries directly, because a baseline through our own layers would measure these layers. The shaded
+pass has our shaders' text, so that both sides compute the same colours.
 """
 
 from collections.abc import Callable
@@ -66,7 +66,7 @@ _SRGB8, _SRGB8_ALPHA8 = 0x8C41, 0x8C43
 
 
 def raw_embree(scene: Scene, origin: Float32Array, direction: Float32Array) -> Callable[[], object]:
-    """Embree's own query of (n, 3) rays, one contiguous share per processor; call the result to run it."""
+    """Return Embree's own query of rays (n, 3), in one contiguous share per processor, as a function."""
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 
@@ -88,7 +88,7 @@ def raw_embree(scene: Scene, origin: Float32Array, direction: Float32Array) -> C
 def bare_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) -> Callable[[], object]:
     """Draw a plain textured pass of a view, warped by a map (height, width, 2) uploaded once; read it back.
 
-    It keeps no depth, and neither head nor eye moves: the minimal work of a fixed distortion correction per frame.
+    It keeps no depth, and neither head nor eye moves: the least work per frame for a fixed distortion correction.
     Colours are filtered as stored.
     """
     context = own_context()
@@ -115,7 +115,7 @@ def bare_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) -> C
 def shaded_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) -> Callable[[], object]:
     """Draw the same pass with our shaders' lights and colours, filtered in linear light and encoded once.
 
-    For a scene of one textured mesh under directional lights.
+    The scene must be one textured mesh under directional lights.
     """
     context = own_context()
     for path in atomic_files.resource("shaders").glob("*.glsl"):
@@ -180,7 +180,7 @@ def own_context() -> Any:
 def _frame(
     context: Any, draw: Callable[[], None], picture: Any, warp_pass: Any, source_uv: NDArray[np.float32]
 ) -> Callable[[], object]:
-    """Draw into the picture, warp it by the map, read the result."""
+    """Return a function that draws into the picture, warps it by the map and reads the result."""
     height, width = source_uv.shape[:2]
     full_screen = context.vertex_array(warp_pass, [])
     source = context.texture((width, height), 2, np.ascontiguousarray(source_uv), dtype="f4")
@@ -211,7 +211,7 @@ def _clip_from_world(view: View) -> NDArray[np.float64]:
     (left, bottom), (right, top) = view.camera.tangent_min, view.camera.tangent_max
     projection = np.zeros((4, 4))
     projection[0, 0], projection[0, 2] = 2 / (right - left), (right + left) / (right - left)
-    # Turned over: the top row comes first, as in the map.
+    # Flipped, so that the top row comes first, as in the map.
     projection[1, 1], projection[1, 2] = -2 / (top - bottom), -(top + bottom) / (top - bottom)
     projection[2, 2], projection[2, 3], projection[3, 2] = -1.0, -2 * near, -1.0
     return np.asarray(projection @ np.linalg.inv(view.world_from_camera))

@@ -1,10 +1,10 @@
 """Baseline warps by a fixed map, as in today's runtimes: Monado's two schemes in OpenGL, and cv2.remap.
 
-For the benchmark only, straight on their libraries, as `baselines.py`. Both schemes read red, green and blue at
-separate places. Monado (src/xrt/compositor/shaders: mesh.vert and mesh.frag; distortion_timewarp.comp) stores them as
-three texture coordinates of a mesh's vertices, or as three small textures, which are read with linear filtering between
-texel centres and then rotated by the head's newer rotation. `frozen_map.py` computes a scheme's map. The 8-bit picture
-is filtered as stored, without decoding and encoding, which makes these schemes a little cheaper than a runtime.
+For the benchmark only, directly on their libraries, like `baselines.py`. Both schemes read red, green and blue at
+separate positions. Monado (src/xrt/compositor/shaders: mesh.vert and mesh.frag; distortion_timewarp.comp) stores them
+as three texture coordinates of a mesh's vertices, or as three small textures, which are read with linear filtering
+between texel centres and then rotated by the head's newer rotation. `frozen_map.py` computes a scheme's map. The 8-bit
+picture is filtered as stored, without decoding and encoding, which makes these schemes a little cheaper than a runtime.
 """
 
 from collections.abc import Callable
@@ -90,7 +90,7 @@ class GlWarpBaseline:
 
 
 def mesh_warp(picture: Uint8Array, channel_uv: Float32Array, size: tuple[int, int]) -> GlWarpBaseline:
-    """Scheme 1: a mesh over the display, three texture coordinates a vertex.
+    """Return scheme 1: a mesh over the display, with three texture coordinates per vertex.
 
     Args:
         picture: (height, width, 3) intermediate image, uploaded once.
@@ -119,7 +119,7 @@ def mesh_warp(picture: Uint8Array, channel_uv: Float32Array, size: tuple[int, in
 
 
 def _triangles(rows: int, columns: int) -> NDArray[np.uint32]:
-    """Two triangles a cell, cut from its upper right to its lower left corner."""
+    """Return two triangles per cell, cut from its upper right to its lower left corner."""
     point = np.arange(rows * columns, dtype=np.uint32).reshape(rows, columns)
     first, right, lower, last = point[:-1, :-1], point[:-1, 1:], point[1:, :-1], point[1:, 1:]
     return np.stack([first, right, lower, last, lower, right], axis=-1)
@@ -128,13 +128,13 @@ def _triangles(rows: int, columns: int) -> NDArray[np.uint32]:
 def image_maps_warp(
     picture: Uint8Array, channel_uv: Float32Array, size: tuple[int, int], drawn_from_newer: NDArray[np.float64]
 ) -> GlWarpBaseline:
-    """Scheme 2: a compute shader reads three small maps and rotates their coordinates by a rotation of the head.
+    """Return scheme 2: a compute shader reads three small maps and rotates their coordinates with the head.
 
     Args:
         picture: (height, width, 3) intermediate image, uploaded once.
-        channel_uv: (3, rows, columns, 2) as in `mesh_warp`; the outermost texel centres lie on the display's edges.
+        channel_uv: (3, rows, columns, 2), see `mesh_warp`; the outermost texel centres lie on the display's edges.
         size: (width, height) of the display.
-        drawn_from_newer: (3, 3) on texture coordinates (u, v, 1), from `timewarp`; set in every frame.
+        drawn_from_newer: (3, 3) matrix on texture coordinates (u, v, 1), from `timewarp`; set in every frame.
     """
     context = own_context()
     shader = context.compute_shader(_IMAGE_MAPS)
@@ -171,7 +171,7 @@ def timewarp(camera: Pinhole, drawn_from_newer: NDArray[np.float64]) -> NDArray[
 
 
 def remap_warp(picture: Uint8Array, source_px: Float32Array) -> Callable[[], Uint8Array]:
-    """cv2.remap by a map made once: call it for a frame (height, width, 3), which the next call overwrites.
+    """Return cv2.remap with a fixed map: each call returns a frame (height, width, 3), which the next call overwrites.
 
     Args:
         picture: (height, width, 3) intermediate image.
@@ -183,7 +183,7 @@ def remap_warp(picture: Uint8Array, source_px: Float32Array) -> Callable[[], Uin
 
 
 def _texture(context: Any, content: Uint8Array | Float32Array) -> Any:
-    """Create a linearly filtered texture that repeats its border: a picture, padded to four bytes a texel, or a map."""
+    """Create a linearly filtered texture that repeats its border: a map or a picture, padded to 4 bytes per texel."""
     height, width, components = content.shape
     if content.dtype == np.uint8:
         padded = np.concatenate([content, np.full((height, width, 1), 255, np.uint8)], axis=-1)

@@ -16,7 +16,7 @@ class Figure:
     Attributes:
         quantity: the measured quantity.
         ours, compared_with: values with units; `compared_with` includes its description.
-        ratio: our value over the other; empty without another value.
+        ratio: ratio of our value to the other; empty without another value.
         goal: in words and numbers; empty without a goal.
         is_reached: True if the goal is reached; None without a goal, or if this machine cannot measure it.
     """
@@ -46,7 +46,7 @@ Measurement = Callable[[], Part]
 
 
 def ratio_figure(quantity: str, ours: str, compared_with: str, found: Estimate, at_most: float | None = None) -> Figure:
-    """Figure of a ratio of times, with the largest that is wanted."""
+    """Return the figure of a ratio of times, with the largest allowed ratio."""
     goal, is_reached = ("", None) if at_most is None else (f"<= {at_most:g}", found.value <= at_most)
     return Figure(quantity, ours, compared_with, str(found), goal, is_reached)
 
@@ -54,7 +54,7 @@ def ratio_figure(quantity: str, ours: str, compared_with: str, found: Estimate, 
 def frame_ratio_figures(
     quantity: str, ours: FrameTimes, other: FrameTimes, name: str, at_most: float | None = None
 ) -> list[Figure]:
-    """Compare two frames' times, as a program sees them and of the GPU's work; `name` is the other's."""
+    """Compare two frames' times, as a program sees them and of the GPU's work; `name` is the other frame's name."""
     pairs = {quantity: (ours.seen, other.seen), f"{quantity}: GPU work": (ours.gpu, other.gpu)}
     return [
         ratio_figure(what, in_ms(np.median(one)), f"{in_ms(np.median(two))} ({name})", ratio(one, two), at_most)
