@@ -20,7 +20,7 @@ OURS, WARP_GOAL = "ours", 0.9
 
 
 def warps(work: Workload, context: str) -> Part:
-    """Time warps of one picture; Monado's, too, if there is EGL."""
+    """Time warps of one picture, including Monado's if EGL is available."""
     work = work.one_eye
     with ExitStack() as opened:
         on = opened.enter_context(Running.of(work, context))
@@ -57,7 +57,7 @@ def warps(work: Workload, context: str) -> Part:
 
 @contextmanager
 def _monado(on: Running, scheme: Scheme, picture: NDArray[np.uint8], camera: Pinhole) -> Iterator[GpuRun]:
-    """Open a scheme with the map for the eye box's centre, the same for all colours."""
+    """Open a scheme with the eye box centre's map, the same for all colours."""
     mappings = on.work.mappings
     shown = frozen_map(mappings, scheme, mappings.eye_box.centre, middle_axes(mappings))
     channel_uv = np.stack([shown.texture_uv(camera)] * 3)

@@ -1,18 +1,18 @@
-"""Errors of a fixed map: interpolation between its points, and another pupil position.
+"""Errors of a fixed map: from interpolation between its points, and from another pupil position.
 
 Runtimes such as Monado (src/xrt/auxiliary/util/u_distortion_mesh.c, src/xrt/compositor/shaders) compute a distortion
-map once: for points on the panel, where in the picture each colour is read. Between the points it is interpolated. The
-map knows neither depth nor pupil, and the picture is drawn from the eye position for which the map was computed.
+map once: for points on the panel, where in the picture each colour is read. Between the points, it is interpolated. The
+map depends on neither depth nor pupil, and the picture is drawn from the eye position for which the map was computed.
 
-How wrong that is. Let v0 be that position and R the picture's axes, so that the picture shows at tangents t the points
-X(t, Z) = v0 + R (Z tx, Z ty, -Z). At pixel p the interpolated map has tangents m(p): the panel's pixel p shows
-X(m(p), Z), if a surface stands there. An eye at v sees the light of pixel p in the direction d(p, v) of the display
-mapping, and the real X in the direction s(X, v) of the see-through mapping. The error is the angle between d(p, v) and
-s(X(m(p), Z), v): the misalignment of `evaluation.misalignment`, for the world at depth Z.
+The error is as follows. Let v0 be that position and R the picture's axes; at tangents t, the picture shows the points
+X(t, Z) = v0 + R (Z tx, Z ty, -Z). At pixel p the interpolated map has tangents m(p): the panel's pixel p shows the
+point X(m(p), Z) if there is a surface at it. An eye at v sees the light of pixel p in the direction d(p, v) of the
+display mapping, and the real X in the direction s(X, v) of the see-through mapping. The error is the angle between d(p,
+v) and s(X(m(p), Z), v): the misalignment of `evaluation.misalignment`, for the world at depth Z.
 
-With v = v0, and at the map's points, the error is zero if m is the place at which the exact ray (a, b, c, d) of
-`RayMap` passes the depth Z, m = (a + c / Z, b + d / Z): what remains is interpolation. A runtime's map is that for
-Z = infinity, and is then wrong for nearer points by the rays' offset (c, d), even at v0.
+With v = v0, and at the map's points, the error is zero if m is where the exact ray (a, b, c, d) of `RayMap` passes
+the depth Z, m = (a + c / Z, b + d / Z): only the interpolation error remains. A runtime's map is the one for
+Z = infinity, and is thus wrong for nearer points by the rays' offset (c, d), even at v0.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.ray_map import middle_axes, solve_pixels
 
 Interpolation = Callable[[FloatArray, FloatArray], FloatArray]
-"""(values (rows, columns, k), place (..., 2) in cells from the first point) -> (..., k)."""
+"""Function of values (rows, columns, k) and positions (..., 2), in cells from the first point; returns (..., k)."""
 
 DEPTHS_M = (0.5, 2.0, np.inf)
 _FAR_M = 1e6  # distance used for infinity: a centimetre off the line of sight is 3e-5 arcminutes there
@@ -42,20 +42,20 @@ _PIXELS, _VIEWPOINTS = 2000, 8
 
 
 def on_triangles(values: FloatArray, place: FloatArray) -> FloatArray:
-    """Interpolate as a mesh of triangles: each cell is cut from its upper right to its lower left corner."""
+    """Interpolate like a mesh of triangles: each cell is cut from its upper right to its lower left corner."""
     (first, right, lower, last), (x, y) = _corners(values, place)
     upper = first + x * (right - first) + y * (lower - first)
     return np.where(x + y <= 1.0, upper, last + (1.0 - x) * (lower - last) + (1.0 - y) * (right - last))
 
 
 def bilinear(values: FloatArray, place: FloatArray) -> FloatArray:
-    """Interpolate as a texture filter, with exact weights."""
+    """Interpolate like a texture filter, with exact weights."""
     (first, right, lower, last), (x, y) = _corners(values, place)
     return np.asarray((1 - y) * ((1 - x) * first + x * right) + y * ((1 - x) * lower + x * last))
 
 
 def _corners(values: FloatArray, place: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Return the four values around each place, first, right, lower, last, and its offset right and down, (..., 1)."""
+    """Return the values around each position (first, right, lower, last) and its offsets right and down, (..., 1)."""
     rows, columns = values.shape[:2]
     cell = np.clip(np.floor(place).astype(int), 0, [columns - 2, rows - 2])
     column, row = cell[..., 0], cell[..., 1]
@@ -65,7 +65,7 @@ def _corners(values: FloatArray, place: FloatArray) -> tuple[list[FloatArray], l
 
 @dataclass(frozen=True)
 class Scheme:
-    """A runtime's map scheme: the number of its points each way, edge to edge, and the interpolation between them."""
+    """A runtime's map scheme: the number of points along each side of its grid, and the interpolation between them."""
 
     name: str
     points: int
@@ -81,11 +81,11 @@ class FrozenMap:
     """A map computed for one viewpoint.
 
     Attributes:
-        scheme: how it is interpolated.
-        viewpoint: (3,) device frame, for which it was computed and from which its picture is drawn.
+        scheme: how the map is interpolated.
+        viewpoint: (3,) position in the device frame for which the map was computed and from which its picture is drawn.
         device_from_camera: (3, 3) axes of the picture.
-        warp_grid: the points.
-        tangents: (points, points, 2) at which the picture is read, at the warp grid's points.
+        warp_grid: the map's points on the panel.
+        tangents: (points, points, 2) tangents at which the picture is read, for the warp grid's points.
     """
 
     scheme: Scheme
@@ -131,17 +131,17 @@ def frozen_map(
 def frozen_map_error_arcmin(
     truth: Eye, shown: FrozenMap, viewpoint: FloatArray, pixel: FloatArray, depth_m: float
 ) -> FloatArray:
-    """Return the angle between the apparent directions of a pixel's content and of the real thing: see the module.
+    """Return the angle between the apparent directions of a pixel's content and of the real point; see the module.
 
     Args:
         truth: the true mappings of the eye.
-        shown: the scheme's map.
+        shown: the map that is judged.
         viewpoint: (..., 3) position of the eye.
         pixel: (..., 2).
         depth_m: depth of the world along the picture's axis, from the viewpoint of the picture; may be infinite.
 
     Returns:
-        (...) arcminutes; NaN where the eye does not see the pixel or the point.
+        Angles (...) in arcminutes; NaN if the eye does not see the pixel or the point.
     """
     tangents = shown.tangents_of_pixel(pixel)
     in_camera = np.concatenate([tangents, -np.ones((*tangents.shape[:-1], 1))], axis=-1) * min(depth_m, _FAR_M)
@@ -177,7 +177,7 @@ def _swim(mappings: Eye, scheme: Scheme) -> list[Cell]:
 
 
 def _followed(mappings: Eye) -> list[Cell]:
-    """Return the residual if the map follows the eye: the interpolation error of the compositor's warp grid."""
+    """Tabulate the error if the map follows the eye: the interpolation error of the compositor's warp grid."""
     axes, pixel = middle_axes(mappings), _judged_pixels(mappings)
     warp_grid = choose_warp_grid(mappings, axes).grid
     viewpoints = _other_viewpoints(mappings)
@@ -203,12 +203,12 @@ def _on_rays(
 
 
 def _other_viewpoints(mappings: Eye) -> FloatArray:
-    """(n, 3) all over the eye box."""
+    """Return viewpoints (n, 3) all over the eye box."""
     return mappings.eye_box.at(np.random.default_rng(9).uniform(-1, 1, (_VIEWPOINTS, 3)))
 
 
 def _judged_pixels(mappings: Eye) -> FloatArray:
-    """Centres of pseudo-random pixels, which do not fall into step with any map's points."""
+    """Return the centres (n, 2) of pseudo-random pixels, so that they cannot align with the points of a map."""
     return np.floor(np.random.default_rng(8).uniform(0, mappings.display.panel.size_px, (_PIXELS, 2))) + 0.5
 
 

@@ -1,4 +1,4 @@
-"""What a compositor costs the program that it works in: CPU time and OpenGL calls of a frame, GPU memory of an eye."""
+"""What a compositor costs its host program: CPU time and OpenGL calls of a frame, GPU memory of an eye."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,13 +17,13 @@ from wlr_render.warp.compositor import Compositor
 
 SUBMISSION_GOAL_MS, CALLS_GOAL, MEMORY_GOAL_MB = 0.6, 30, 8.0
 FRAMES, _TURNS = 60, 5
-"""Timed frames of each turn, and turns of both ways."""
+"""Number of timed frames in each turn, and number of turns for each of the two ways."""
 _BYTES = {"f1": 1, "u1": 1, "f2": 2, "f4": 4, "i4": 4, "u4": 4}
 _TIME, _CALLS = "CPU time to submit a frame of both eyes, drawing stubbed out", "OpenGL calls / gets of that frame"
 
 
 def submission(work: Workload, frames: int = FRAMES) -> Part:
-    """Time a frame beside a host's context, and in one without a host; see `bench submission`."""
+    """Time a frame with a host's context present, and one without a host; see `bench submission`."""
     panel = work.mappings.display.panel
     size, ways = (panel.width_px, panel.height_px), ("own", "shared")
     try:
@@ -56,7 +56,7 @@ def submission(work: Workload, frames: int = FRAMES) -> Part:
 
 
 def memory(work: Workload, context: str) -> Part:
-    """Measure the GPU memory of one eye without the picture, which is not copied, and the host's target."""
+    """Measure the GPU memory of one eye, without the picture (which is not copied) and the host's target."""
     found_mb = eye_bytes(work, context) / 1e6
     text = f"{found_mb:.1f} MB"
     goal = f"<= {MEMORY_GOAL_MB:g} MB"
@@ -75,7 +75,7 @@ def memory(work: Workload, context: str) -> Part:
 
 
 def eye_bytes(work: Workload, context: str) -> int:
-    """Bytes of textures and buffers that a compositor of the right eye makes for frames into a host's framebuffer."""
+    """Return the bytes of textures and buffers that a compositor makes to draw one eye into a host's framebuffer."""
     panel = work.mappings.display.panel
     size = panel.width_px, panel.height_px
     with gl.open_context(context) as opened:

@@ -1,4 +1,4 @@
-"""Times of the stages of an offline frame: rays, raster and warp with read-back, map of a new viewpoint; memory.
+"""Times of the stages of an offline frame (rays, raster and warp with read-back, map of a new viewpoint), and memory.
 
 Both sides of a comparison are timed alternately, so that a busy machine slows both equally; figures are medians.
 """
@@ -36,7 +36,7 @@ _SEQUENCES = 2  # timed sequences of frames, each with a frame for every place o
 
 
 def ray_rows(work: Workload) -> list[list[Cell]]:
-    """Intersections and the whole ray-traced frame, against raw Embree."""
+    """Tabulate the speed of intersections and of the whole ray-traced frame against raw Embree."""
     renderer = RayRenderer(work.scene)
     painter = TracedPainter(work.mappings, renderer)
     field = ray_map(work.mappings, work.viewpoints[0], choose_plan(work.mappings))
@@ -62,7 +62,7 @@ def ray_rows(work: Workload) -> list[list[Cell]]:
 
 
 def raster_part(work: Workload, backend: str, resolution: float = 1.0) -> Part:
-    """Time the whole raster frame, against bare OpenGL passes of the same resolution with a fixed map."""
+    """Time the whole raster frame against bare OpenGL passes of the same resolution with a fixed map."""
     raster = open_scene_raster(work.scene, backend)
     if raster is None:
         return Part()
@@ -109,7 +109,7 @@ def _at_display_size(camera: Pinhole, panel: Panel, resolution: float = 1.0) -> 
 
 
 def written_rows(work: Workload, backend: str) -> list[list[Cell]]:
-    """Frames a second of `render` with PNG files at resolution 1, against frames that are drawn and read back alone."""
+    """Tabulate the frame rate of `render` with PNG files at resolution 1, and of mere drawing and read-back."""
     raster = open_scene_raster(work.scene, backend)
     if raster is None:
         return []
@@ -129,7 +129,7 @@ def written_rows(work: Workload, backend: str) -> list[list[Cell]]:
 
 
 def map_rows(work: Workload) -> list[list[Cell]]:
-    """Tabulate time and error of the map for a new viewpoint."""
+    """Tabulate the time and the error of the map for a new viewpoint."""
     plan = choose_plan(work.mappings)
     (map_ms,) = alternately(lambda turn: ray_map(work.mappings, work.viewpoints[turn], plan), rounds=work.rounds)
     error = map_error_px(work.mappings, work.viewpoints[1])
@@ -141,9 +141,9 @@ def map_rows(work: Workload) -> list[list[Cell]]:
 
 
 def map_error_px(mappings: Eye, viewpoint: FloatArray) -> float:
-    """Largest difference between the fast field and the exact solve of every pixel, in display pixels.
+    """Return the largest difference between the fast field and the exact solution of every pixel, in display pixels.
 
-    Differences of the tangents at infinity and at the nearest depth, over the size of the pixel.
+    The tangents at infinity and at the nearest depth are compared, and the differences divided by the pixel's size.
     """
     plan = choose_plan(mappings)
     fast = ray_map(mappings, viewpoint, plan).slope_offset
@@ -155,7 +155,7 @@ def map_error_px(mappings: Eye, viewpoint: FloatArray) -> float:
 
 
 def memory_rows(backend: str) -> list[list[Cell]]:
-    """Peak memory of one frame, by both ways of drawing."""
+    """Tabulate the peak memory of one frame for both drawing methods."""
     rows: list[list[Cell]] = []
     for method in ("raster", "raytrace") if backend != "cpu" else ("raytrace",):
         # A separate process counts only its own memory; it is spawned, because forking after OpenGL hangs.
@@ -166,7 +166,7 @@ def memory_rows(backend: str) -> list[list[Cell]]:
 
 
 def peak_memory_gb(method: str, backend: str) -> float:
-    """Peak resident memory of this process after making one 2048 x 2048 frame."""
+    """Return the peak resident memory of this process, in GB, after it has drawn one 2048 x 2048 frame."""
     mappings, scene = bench_model(Panel(2048, 2048)), bench_scene()
     painter: Painter
     if method == "raytrace":
@@ -178,7 +178,7 @@ def peak_memory_gb(method: str, backend: str) -> float:
 
 
 def _peak_resident_gb() -> float:
-    """Return the peak of this process. On Linux, the peak of getrusage starts with the size of the parent process."""
+    """Return the peak of this process. On Linux, getrusage's peak starts at the size of the parent process."""
     if sys.platform == "darwin":
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e9
     status = Path("/proc/self/status").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Pictures that are hard to warp: a near object while the head moves, and stripes of one pixel made smaller."""
+"""Pictures that are hard to warp: a near object while the head moves, and minified stripes of one pixel."""
 
 from contextlib import ExitStack
 from functools import partial
@@ -20,12 +20,12 @@ from wlr_render.warp.stored_picture import DepthKind, StoredDepth
 NEAR_M, MOVED_M = 0.1, 0.020
 NEAR_GOAL, LIGHT_GOAL = 1.3, 0.01
 OBJECTS_M = {"a fingertip of 5 mm": 0.005, "a hand of 80 mm": 0.080}
-"""Widths of the near object."""
+"""Widths of the near object, by name."""
 _INVERSE = StoredDepth(DepthKind.INVERSE)
 
 
 def near_object(work: Workload, context: str) -> Part:
-    """Compare the warp of a picture with a near object with the warp of the same picture without it."""
+    """Compare the times of warping a picture with a near object and the same picture without it."""
     work = work.one_eye
     moved = HEAD_POSE @ transforms.rigid(np.eye(3), np.array([MOVED_M, 0.0, 0.0]))
     with ExitStack() as opened:
@@ -58,7 +58,7 @@ def near_pixels(camera: Pinhole, width_m: float) -> tuple[slice, slice]:
 
 
 def linear_light(work: Workload, context: str) -> Part:
-    """Mean light that is shown of a picture of black and white stripes of one pixel, minified two times."""
+    """Measure the mean displayed light of black and white stripes of one pixel, minified two times."""
     shown = stripes_light(work, context)
     return Part(
         [
@@ -75,7 +75,7 @@ def linear_light(work: Workload, context: str) -> Part:
 
 
 def stripes_light(work: Workload, context: str) -> float:
-    """Mean over the middle half of the display, 0 to 1."""
+    """Return the mean linear light over the middle half of the display, 0 to 1."""
     panel = work.mappings.display.panel
     size = panel.width_px, panel.height_px
     with Compositor(work.mappings, size, context=context, resolution=2.0) as compositor:
@@ -87,6 +87,6 @@ def stripes_light(work: Workload, context: str) -> float:
 
 
 def striped(width: int, height: int) -> tuple[NDArray[np.uint8], Float32Array]:
-    """Colour (height, width, 3) of upright stripes, and depth (height, width) of a wall at 1 m."""
+    """Return the colour (height, width, 3) of vertical stripes, and the depth (height, width) of a wall at 1 m."""
     columns = (255 * (np.arange(width) % 2)).astype(np.uint8)
     return np.broadcast_to(columns[:, None], (height, width, 3)).copy(), np.ones((height, width), np.float32)

@@ -14,7 +14,7 @@ def record(tables: Sequence[ReportTable], folder: str | Path, renderer: str) -> 
     """Write the tables as `folder`/RENDERER.md, replacing the file of an earlier run on the same renderer.
 
     Args:
-        tables: in the order of the file.
+        tables: the tables, in the order of the file.
         folder: created if it does not exist.
         renderer: OpenGL's name of the renderer, `GlContext.renderer`; the file's name has only its letters and digits.
 

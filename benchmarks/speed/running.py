@@ -18,13 +18,13 @@ from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.frame_handle import FrameHandle
 
 LATE_S = 0.010
-"""From drawing to scan-out, and from the first row's to the last one's."""
+"""Time from drawing to scan-out, and scan-out time from the first to the last row."""
 TURN_DEG_PER_S, WALK_M_PER_S, PUPIL_M_PER_S = 100.0, 0.5, 0.05
-"""A brisk turn of the head, a step, and a pupil 10.5 mm before the centre of an eye that turns by 270 deg/s."""
+"""Speeds of a brisk head turn, of a step, and of a pupil 10.5 mm from the centre of an eye turning at 270 deg/s."""
 
 
 def later_pose(pose: FloatArray, seconds: float = LATE_S) -> FloatArray:
-    """Return a head pose (4, 4) some time later: the head turns about its vertical and moves sideways and ahead."""
+    """Return a head pose (4, 4) some time later: the head turns about its vertical axis and moves right and ahead."""
     turned = transforms.rotation_about("y", np.deg2rad(TURN_DEG_PER_S) * seconds)
     step = WALK_M_PER_S * seconds * np.array([0.6, 0.0, -0.8])
     return np.asarray(pose @ transforms.rigid(turned, step))
@@ -46,16 +46,16 @@ class Running:
         size: tuple[int, int] | None = None,
         channels: int = 1,
     ) -> "Running":
-        """Start.
+        """Create the compositor and the rasteriser.
 
         Args:
             work: workload with the eyes to compose.
-            context: as `Compositor`.
+            context: see `Compositor`.
             size: (width, height) of the display; the panel's if None.
-            channels: 3 for a field for each colour, of the same mappings.
+            channels: 3 for a separate ray field for each colour, all from the same mappings.
 
         Raises:
-            BadInputError, MissingGlError: as `Compositor`.
+            BadInputError, MissingGlError: see `Compositor`.
         """
         panel = work.mappings.display.panel
         models = {eye: (mappings,) * channels for eye, mappings in work.eyes.items()}
@@ -88,7 +88,7 @@ class Running:
         return self.compositor.compose()
 
     def warp_of_a_new_picture(self) -> GpuRun:
-        """Submit the picture of round 0 as a new one, for whose depth nothing is known yet; compose into a target."""
+        """Return a run that submits round 0's picture as new, with depths not yet known, and composes it."""
         size = self.compositor.size_px[0] * len(self.work.eyes), self.compositor.size_px[1]
         with self.gl_context.drawing():
             target = self.gl_context.framebuffer([self.gl_context.target(size, 4, "f1")])
@@ -103,9 +103,9 @@ class Running:
         return self.of_round(run)
 
     def of_round(self, job: Run) -> GpuRun:
-        """Return a job to be timed, which is given the number of the round."""
+        """Return a run that calls a job with the number of the round."""
         return GpuRun(job, self.gl_context.drawing)
 
     def same(self, job: Callable[[], object]) -> GpuRun:
-        """Return a job to be timed, which is the same in all rounds."""
+        """Return a run that calls a job that is the same in all rounds."""
         return self.of_round(lambda _: job())

@@ -14,7 +14,7 @@ from wlr_render.warp.ray_map import RayMapPlan, choose_plan
 
 LARGE_PX = 2048, 2048
 FRAME_GOAL_MS, LARGE_FRAME_GOAL_MS = 2.0, 4.0
-"""Whole frames of both eyes on a GPU, at the workload's size and at `LARGE_PX` per eye."""
+"""Longest wanted times of a whole frame of both eyes on a GPU, at the workload's size and at `LARGE_PX` per eye."""
 
 
 def one_eye(work: Workload, context: str) -> Part:
@@ -46,7 +46,7 @@ def _rows(runs: dict[str, GpuRun], rounds: int) -> list[list[Cell]]:
 
 
 def _pictures(on: Running) -> dict[str, GpuRun]:
-    """Return the engine's drawing, by two engines."""
+    """Return runs of the drawing that an engine does, with two engines."""
     raster = GlRaster(on.gl_context, on.work.scene)
     pyrender = PyrenderView(on.gl_context, on.work.scene)
     (camera,) = on.begin(0).values()
@@ -59,7 +59,7 @@ def _pictures(on: Running) -> dict[str, GpuRun]:
 
 
 def _ray_maps(on: Running) -> dict[str, GpuRun]:
-    """Return two ways to make the ray map of a new viewpoint."""
+    """Return runs of two ways to compute the ray map of a new viewpoint."""
     context, mappings, plan = on.gl_context, on.work.mappings, on.compositor.plan("right")
     axes, coarse, viewpoints = plan.device_from_camera, plan.warp_grid.grid, on.work.viewpoints
     count = choose_plan(mappings).node_count
@@ -74,7 +74,7 @@ def _ray_maps(on: Running) -> dict[str, GpuRun]:
 
 
 def _composing(on: Running) -> dict[str, GpuRun]:
-    """Return the whole frame and its repetitions; in this order, because a pupil that moves costs a ray map."""
+    """Return runs of the whole frame and its repetitions, in this order, because a pupil that moves costs a ray map."""
     compositor, work, later = on.compositor, on.work, later_pose(HEAD_POSE)
     return {
         "whole frame": on.of_round(on.frame),
@@ -89,7 +89,7 @@ def _composing(on: Running) -> dict[str, GpuRun]:
 
 
 def both_eyes(work: Workload, context: str, large_px: tuple[int, int] = LARGE_PX) -> Part:
-    """Whole frames of both eyes, a new viewpoint in each; needs OpenGL."""
+    """Time whole frames of both eyes, with a new viewpoint in each; needs OpenGL."""
     with Running.of(work, context) as usual, Running.of(work, usual.gl_context, large_px) as large:
         times = frame_times(*(each.of_round(each.frame) for each in (usual, large)), rounds=work.rounds)
         sizes = usual.compositor.size_px, large.compositor.size_px

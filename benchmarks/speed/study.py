@@ -1,4 +1,4 @@
-"""Speed and accuracy offline and in real time, against baselines."""
+"""Speed and accuracy offline and in real time, compared to baselines."""
 
 import os
 import platform
@@ -34,12 +34,13 @@ class StudyPlan:
     """Extent of the measurements.
 
     Attributes:
-        panel: pixels of one eye.
-        large_px: pixels of the larger display in real time.
-        rounds: rounds of a timing; `gpu_rounds` of a real-time timing on a GPU.
+        panel: panel of one eye.
+        large_px: (width, height) of the larger real-time display, per eye.
+        rounds: rounds of a timing.
+        gpu_rounds: rounds of a real-time timing on a GPU.
         submissions: number of frames whose CPU time is measured.
         devices, scenes: devices and scenes whose accuracy is measured.
-        judged_panel: pixels of those devices; their own if None.
+        judged_panel: panel of those devices; their own if None.
     """
 
     panel: Panel = PANEL
@@ -72,11 +73,11 @@ def run(
     progress: ProgressArgument = SILENT,
     plan: Annotated[StudyPlan, Parameter(parse=False)] = _FULL,
 ) -> Report:
-    """Measure; writes speed.html, .md and .json into `options.out`.
+    """Measure, and write speed.html, .md and .json into `options.out`.
 
     Raises:
-        BadInputError: a folder that cannot be written, or `record` without OpenGL.
-        MissingGlError: OpenGL was asked for by name, and does not open.
+        BadInputError: a folder cannot be written, or `record` is given without OpenGL.
+        MissingGlError: the OpenGL backend was requested by name, and does not open.
     """
     folder = output_folder(options.out)
     renderer = _renderer(options.backend)
@@ -104,7 +105,7 @@ def run(
 
 @dataclass(frozen=True)
 class Renderer:
-    """OpenGL's name of the renderer, and whether it is a program on the CPU."""
+    """OpenGL's name of the renderer, and whether it is a software renderer."""
 
     name: str
     is_software: bool

@@ -1,4 +1,4 @@
-"""Times of alternating runs: of the GPU, of the CPU and as a program sees them; their ratios."""
+"""Times of alternating runs (of the GPU, of the CPU and as a program sees them), and their ratios."""
 
 import ctypes
 import math
@@ -18,12 +18,12 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, cell_text
 
 ROUNDS = 15
-"""Rounds that count; one more warms up."""
+"""Number of rounds that count; one more, the first, warms up."""
 GPU_ROUNDS = 150
-"""The same where a frame takes a millisecond."""
+"""The same, for frames that take a millisecond."""
 
 Run = Callable[[int], object]
-"""Something to time; it is given the number of the round, from 0."""
+"""Function to be timed; it gets the number of the round, from 0."""
 
 TIME_COLUMNS = "GPU work", "CPU", "as a program sees it"
 TIMES_NOTE = (
@@ -34,7 +34,7 @@ TIMES_NOTE = (
     "is idle."
 )
 _PLUG_MS, _PLUG_PX = 5.0, 512
-"""The pass that keeps the GPU busy: shortest time, which is longer than the CPU takes to submit a frame; its side."""
+"""Shortest time of the pass that keeps the GPU busy, longer than the submission of a frame; side of its target."""
 _PLUG = """
 #version 410
 uniform int rounds;
@@ -48,17 +48,18 @@ void main() {
 """
 _TIMESTAMP, _QUERY_RESULT = 0x8E28, 0x8866
 
-# Standard deviations of a normal distribution from its median absolute deviation, and of a median from its samples'.
+# Standard deviation of a normal distribution over its median absolute deviation, and sqrt(n) times the standard
+# deviation of the median of n samples over that of the samples.
 _SIGMA_OF_MAD, _OF_MEDIAN = 1.4826, 1.2533
 
 
 @dataclass(frozen=True, eq=False)
 class GpuRun:
-    """A run that draws.
+    """A run that draws with OpenGL, or works on the CPU alone.
 
     Attributes:
-        run: may return before the GPU has finished.
-        drawing: opens a block in which its OpenGL context is current; None for a run on the CPU alone.
+        run: the function to be timed; it may return before the GPU has finished.
+        drawing: opens a block in which the run's OpenGL context is current; None for a run on the CPU alone.
     """
 
     run: Run
@@ -67,7 +68,7 @@ class GpuRun:
 
 @dataclass(frozen=True, eq=False)
 class FrameTimes:
-    """Milliseconds of a `GpuRun`, each (rounds,), see `TIMES_NOTE`; `gpu` is NaN for a run on the CPU alone."""
+    """Times (rounds,) of a `GpuRun`, in milliseconds; see `TIMES_NOTE`. `gpu` is NaN for a run on the CPU alone."""
 
     gpu: FloatArray
     cpu: FloatArray
@@ -80,15 +81,15 @@ class FrameTimes:
 
 
 def times_ms(*runs: Run, rounds: int = ROUNDS) -> FloatArray:
-    """Time runs in milliseconds, (rounds, runs).
+    """Return the times (rounds, runs) of the runs in milliseconds.
 
-    The runs alternate, so that a busy machine slows all equally; the first round is dropped.
+    The runs alternate, so that a busy machine slows them all equally; the first round is dropped.
     """
     return _in_turns(_wall_s, runs, rounds)
 
 
 def frame_times(*runs: GpuRun, rounds: int = ROUNDS) -> list[FrameTimes]:
-    """Time runs that draw; they alternate, as in `times_ms`, first as a program sees them, then on the GPU."""
+    """Time runs that draw; they alternate as in `times_ms`, first as a program sees them, then on the GPU."""
     clocks: dict[moderngl.Context, _GpuClock] = {}
 
     def gpu_s(each: GpuRun, turn: int) -> float:
@@ -128,7 +129,7 @@ def _cpu_and_seen_s(each: GpuRun, turn: int) -> tuple[float, float]:
 
 
 class _GpuClock:
-    """Time stamps of the OpenGL context that is current, behind a pass that keeps its GPU busy."""
+    """Time stamps of the current OpenGL context, taken after a pass that keeps its GPU busy."""
 
     def __init__(self, context: moderngl.Context) -> None:
         name, pointer = ctypes.c_uint, ctypes.c_void_p
@@ -150,9 +151,9 @@ class _GpuClock:
         self._plug.render(vertices=3)
 
     def seconds(self, job: Callable[[], object]) -> float:
-        """Return the seconds that the GPU works on a job."""
+        """Return how many seconds the GPU works on a job."""
         self._draw_plug()
-        # A software renderer takes a stamp when it is done with all commands that are flushed together.
+        # A software renderer takes a stamp after it finishes all commands that were flushed together.
         self._flush()
         self._stamp(self._names[0], _TIMESTAMP)
         self._flush()
@@ -166,7 +167,7 @@ class _GpuClock:
 
 
 def alternately(*runs: Run, rounds: int = ROUNDS) -> list[float]:
-    """Median milliseconds of each run, as `times_ms`."""
+    """Return the median time of each run in milliseconds; see `times_ms`."""
     return [float(x) for x in np.median(times_ms(*runs, rounds=rounds), axis=0)]
 
 
@@ -192,10 +193,10 @@ class Estimate:
 
 
 def ratio(first_ms: FloatArray, second_ms: FloatArray) -> Estimate:
-    """Return how many times longer the first takes, from times (rounds,) of both: the median of the rounds' ratios.
+    """Return how many times longer the first takes: the median, over the rounds, of the ratio of the times (rounds,).
 
     The standard error assumes normally distributed ratios and takes their spread from the median absolute deviation, so
-    that a single interrupted round does not count.
+    that a single interrupted round has hardly any effect.
     """
     ratios = np.asarray(first_ms, np.float64) / second_ms
     middle = float(np.median(ratios))
