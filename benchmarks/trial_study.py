@@ -1,4 +1,4 @@
-"""Shared parts of experiments in simulation: options, trials of an eye, and the run that makes their report."""
+"""Shared parts of simulated experiments: options, trials of an eye, and the run that writes their report."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, fields, replace
@@ -31,7 +31,7 @@ from wlr_render.work.progress import Progress
 
 AnyOwnTrial = TypeVar("AnyOwnTrial", bound=Trial)
 Lines = dict[str, tuple[Sequence[float], Sequence[float]]]
-"""Curves by name."""
+"""Curves by name: x and y values."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Findings:
 
     Attributes:
         blocks: tables and plots.
-        verdict: sentences, one for each eye; the report starts with those of the first experiment.
+        verdict: sentences, one per eye; the report starts with the verdict of the first experiment that has one.
         record: data for the JSON file in addition to tables and plots.
     """
 
@@ -93,13 +93,13 @@ class Study:
         return self.outcome_of(trial_at(DisplayTrial, eye, kind, degree, count))
 
     def repeated(self, trial: Trial, most: int | None = None) -> list[Outcome]:
-        """Outcomes of a trial's repetitions, `most` at most; a trial without random errors runs once."""
+        """Return the outcomes of a trial's repetitions, at most `most`; a trial without random errors runs once."""
         times = min(self.repeats, most or self.repeats) if trial.has_random_errors else 1
         return [self.outcome_of(replace(trial, repeat=k)) for k in range(times)]
 
 
 Experiment = Callable[[Study], Findings]
-"""Called twice: first with `outcome_of` recording the trials that it needs, then with their true outcomes."""
+"""Function that is called twice: first to record the trials that it asks for, then with their outcomes."""
 
 
 def run_study(
@@ -110,11 +110,10 @@ def run_study(
     progress: Progress,
     repeats: int = 1,
 ) -> Report:
-    """Run experiments by name and save their report; trials that several of them need run once.
+    """Run named experiments and save their report; a trial that several experiments need runs once.
 
     Raises:
-        BadInputError: an empty option, a faulty device, an eye that it does not have, or a folder that cannot be
-            written.
+        BadInputError: an option is empty, a device is faulty or lacks the eye, or the folder cannot be written.
     """
     for each in fields(options):
         if getattr(options, each.name) == ():
@@ -174,13 +173,13 @@ def _conditions(eyes: Sequence[EvaluatedEye]) -> ReportTable:
 def trial_at(
     trial: type[AnyOwnTrial], eye: EvaluatedEye, kind: str, degree: int | None, count: int, **errors: Any
 ) -> AnyOwnTrial:
-    """Return a trial of an eye; `errors` are the fields of the trial that state errors of the bench."""
+    """Return a trial of an eye; `errors` are the trial's fields for errors of the bench."""
     where: dict[str, Any] = {"whole_panel": eye.whole_panel, "eye": eye.eye}
     return trial(eye.device, kind, degree, count, eye.eye_box_mm, **where, **errors)
 
 
 def pooled(outcomes: Sequence[Outcome], measure: str) -> float:
-    """Root mean square over repetitions of equal size."""
+    """Return the root mean square over repetitions of equal size."""
     return float(np.sqrt(np.mean([outcome.rms(measure) ** 2 for outcome in outcomes])))
 
 
@@ -192,5 +191,5 @@ def error_curves(title: str, x_title: str, lines: Lines, predicted: Lines | None
 
 
 def box_text(box: Sequence[float]) -> str:
-    """Edge lengths in words, e.g. "10 x 8 x 6 mm"."""
+    """Format edge lengths, e.g. "10 x 8 x 6 mm"."""
     return " x ".join(f"{edge:g}" for edge in box) + " mm"

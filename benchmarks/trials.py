@@ -42,11 +42,11 @@ Simulate = Callable[[CaptureSetup, NDArray[np.float64], np.random.Generator], An
 
 TEST_VIEWPOINTS = 128
 TEST_RAYS = 64
-"""From each test viewpoint."""
+"""Number of test rays from each test viewpoint."""
 NEAREST_M, FARTHEST_M = 0.3, 5.0
-"""Distances of real points."""
+"""Nearest and farthest real points."""
 BACK_M = 0.010
-"""How far viewpoints are moved back along their own rays."""
+"""Distance by which viewpoints are moved back along their own rays."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,7 @@ class EvaluatedEye:
         device: a shipped device's name, or the path of its file.
         eye: "left" or "right".
         eye_box_mm: edge lengths of the eye box, about the centre of the device's own.
-        whole_panel: the whole panel is captured and evaluated instead of the nominal field.
-        name: of the device.
+        whole_panel: True if the whole panel is captured and evaluated instead of the nominal field.
     """
 
     device: str
@@ -71,7 +70,7 @@ class EvaluatedEye:
         return f"{self.name} ({self.eye})"
 
 
-# Exact tracing costs far more than a fit, so each process traces a device, its captures and its test rays once.
+# Exact tracing takes far longer than a fit, so each process traces a device, its captures and its test rays once.
 
 
 @lru_cache
@@ -92,14 +91,14 @@ def capture_setup(at: EvaluatedEye) -> CaptureSetup:
 
 @lru_cache(maxsize=32)
 def exact_captures(simulate: Simulate[AnyCaptures], at: EvaluatedEye, kind: str, count: int) -> AnyCaptures:
-    """Noise-free captures."""
+    """Return noise-free captures."""
     setup = capture_setup(at)
     return simulate(setup, setup.camera_positions(kind, count), np.random.default_rng(0))
 
 
 @lru_cache
 def display_observations(at: EvaluatedEye, seed: int) -> mapping_error.DisplayObservations:
-    """Directions in the field, or pixels of the whole panel, from random viewpoints, most off the base plane."""
+    """Return observations in the field, or of the whole panel, from random viewpoints, most off the base plane."""
     setup = capture_setup(at)
     rng = np.random.default_rng(seed)
     viewpoint = viewpoints.random_in_eye_box(setup.truth.eye_box, TEST_VIEWPOINTS, rng)[:, None]
@@ -112,18 +111,18 @@ def display_observations(at: EvaluatedEye, seed: int) -> mapping_error.DisplayOb
 
 @lru_cache
 def see_through_observations(at: EvaluatedEye, seed: int) -> mapping_error.SeeThroughObservations:
-    """Real points in those directions, at depths uniform in dioptres."""
+    """Return observations of real points in the directions of `display_observations`, at depths uniform in dioptres."""
     seen = display_observations(at, seed)
     dioptres = np.random.default_rng(seed + 1).uniform(1.0 / FARTHEST_M, 1.0 / NEAREST_M, len(seen.pixel))
     return mapping_error.see_through_observations(truth(at).see_through, seen.viewpoint, seen.view_dir, 1.0 / dioptres)
 
 
 class Measure(StrEnum):
-    """A kind of error, always at random viewpoints of the eye box.
+    """A kind of error, always at random viewpoints in the eye box.
 
     FORWARD: direction of a pixel. BACKWARD: pixel of a direction. REAL_POINT: direction of a real point. REAL_RAY:
-    direction of the real ray of a view direction. MISS: distance of that ray from the real point. PREDICTED: standard
-    error that the model states of FORWARD, or of REAL_POINT if it is a see-through model.
+    direction of the real ray of a view direction. MISS: distance of this ray from the real point. PREDICTED: standard
+    error that the model predicts for FORWARD, or for REAL_POINT if it is a see-through model.
     """
 
     FORWARD = "forward (arcmin)"
@@ -140,7 +139,7 @@ class FoundBench:
 
     Attributes:
         noise_arcmin: noise of a reading.
-        repeatability_um, wobble_urad: random shift and rotation of the camera per visit of a position.
+        repeatability_um, wobble_urad: random shift and rotation of the camera at each visit of a position.
     """
 
     noise_arcmin: float
@@ -160,7 +159,7 @@ class Outcome:
 
     Attributes:
         errors: errors by measure.
-        found: estimated bench errors; None without a fit.
+        found: bench errors estimated by the fit; None without a fit.
         readings: number of measured directions.
         seconds: process time of the fit.
         refused: reason for a missing model; empty if the fit succeeded.
@@ -175,7 +174,7 @@ class Outcome:
     figures: Mapping[str, float] = field(default_factory=dict)
 
     def rms(self, measure: str) -> float:
-        """Root mean square error; NaN if it was not measured."""
+        """Return the root mean square error; NaN if it was not measured."""
         return self.errors[measure].rms if measure in self.errors else float("nan")
 
 
@@ -185,12 +184,12 @@ class Trial:
 
     Attributes:
         device: a shipped device's name, or the path of its file.
-        kind: model type; it also decides where the camera stands.
+        kind: model type; it also determines the camera positions.
         degree: limit of the total degree N; None for the limits of the fit.
         viewpoints: number of camera positions.
         eye_box_mm: edge lengths of the eye box.
         camera_noise_arcmin, stage_error_mm, stage_turn_urad: standard deviations per axis of the bench's errors.
-        repeat: number of the repetition, for other random errors.
+        repeat: number of the repetition; each has other random errors.
         whole_panel: the whole panel is captured and evaluated instead of the nominal field.
         eye: "left" or "right".
     """
@@ -223,7 +222,7 @@ class Trial:
 
     @property
     def shared(self) -> object:
-        """Equal for trials that share captures, and should run in one process."""
+        """Key that is equal for trials that share captures and should thus run in one process."""
         return type(self), self.at, self.kind, self.viewpoints
 
     @property
@@ -232,7 +231,7 @@ class Trial:
         return _file_of(self)
 
     def rng(self, seed: int) -> np.random.Generator:
-        """Random numbers that depend on the seed, the eye and the trial alone."""
+        """Return a generator of random numbers that depend only on the seed, the eye and the trial."""
         eye = () if self.eye == "right" else (1,)
         key = zlib.crc32(repr(self).encode())
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key, *eye)))
@@ -260,7 +259,7 @@ class DisplayTrial(Trial):
         return Outcome(self.errors(fitted.mapping, rng, seed), FoundBench.of(fitted), len(fitted.captures), seconds)
 
     def errors(self, model: FittedDisplay, rng: np.random.Generator, seed: int) -> dict[str, Summary]:
-        """Errors of a fitted model."""
+        """Return the errors of a fitted model."""
         observations = display_observations(self.at, seed)
         offset = rng.normal(0.0, 1e-3 * self.tracking_error_mm, observations.viewpoint.shape)
         error = mapping_error.display_error(model, displaced(observations, offset))
@@ -284,7 +283,7 @@ class SeeThroughTrial(Trial):
         return Outcome(self.errors(fitted.mapping, seed), FoundBench.of(fitted), len(fitted.captures), seconds)
 
     def errors(self, model: FittedSeeThrough, seed: int) -> dict[str, Summary]:
-        """Errors of a fitted model."""
+        """Return the errors of a fitted model."""
         seen = see_through_observations(self.at, seed)
         error = mapping_error.see_through_error(model, seen)
         return {
@@ -304,23 +303,23 @@ _SIMULATE = {"backward": simulate_see_through, "forward": _simulate_forwards}
 
 @dataclass(frozen=True)
 class NoModelTrial:
-    """Error of ignoring the combiner: real points taken to be seen along straight lines."""
+    """The error if the combiner is ignored, so that real points are assumed to be seen along straight lines."""
 
     at: EvaluatedEye
     viewpoints: ClassVar[int] = 1
 
     @property
     def shared(self) -> object:
-        """Data shared by trials, see `Trial`."""
+        """Key of trials that share data; see `Trial`."""
         return self
 
     @property
     def file(self) -> str:
-        """Name of the outcome's file, see `Trial`."""
+        """Name of the outcome's file; see `Trial`."""
         return _file_of(self)
 
     def run(self, seed: int) -> Outcome:
-        """Angle between the straight line to a real point and the direction in which it is seen."""
+        """Measure the angle between the straight line to a real point and the direction in which it is seen."""
         observations = see_through_observations(self.at, seed)
         return Outcome({Measure.REAL_POINT: summary(straight_error(observations))})
 
@@ -331,10 +330,10 @@ AnyTrial = Trial | NoModelTrial
 def run_trials(
     trials: Iterable[AnyTrial], seed: int, workers: WorkerPool, progress: Progress, folder: Path, resume: bool
 ) -> dict[AnyTrial, Outcome]:
-    """Run each different trial once, on several processes.
+    """Run each different trial once, in several processes.
 
     Outcomes depend only on the seed and the trial; outcomes of networks also depend on the speed of the machine,
-    because their training time is fixed. The folder keeps them, and `resume` does not repeat existing ones.
+    because their training time is fixed. The folder keeps the outcomes; with `resume`, existing ones are not repeated.
     """
     tasks, kept = tasks_of(trials), outcome_folder(folder, seed, resume)
     finished = (pair for found in as_finished(partial(_run, kept, seed), tasks, workers, kept) for pair in found)
@@ -342,7 +341,7 @@ def run_trials(
 
 
 def tasks_of(trials: Iterable[AnyTrial]) -> list[list[AnyTrial]]:
-    """Different trials, grouped by the captures that they share; the longest groups first."""
+    """Return the different trials, grouped by the captures that they share; the longest groups first."""
     groups: dict[object, list[AnyTrial]] = defaultdict(list)
     for trial in dict.fromkeys(trials):
         groups[trial.shared].append(trial)
@@ -364,7 +363,7 @@ def _load(_: AnyTrial, content: dict[str, Any]) -> Outcome:
 
 
 def _file_of(trial: "AnyTrial") -> str:
-    """Name of the file that keeps an outcome: it depends on the trial, the device file, and the program's version."""
+    """Return the name of the file that keeps an outcome; it depends on the trial, the device file and the version."""
     what = json.dumps([metadata.version("wlr_render"), type(trial).__name__, asdict(trial)])
     digest = hashlib.sha256(what.encode() + read_bytes(device_path(trial.at.device), LIMITS.text_bytes))
     return f"{digest.hexdigest()[:32]}.json"
@@ -380,7 +379,7 @@ def _timed(
 
 
 def _measured(trial: Trial, simulate: Simulate[AnyCaptures], rng: np.random.Generator) -> AnyCaptures:
-    """Simulate the trial's captures; camera noise needs no new tracing, a displaced camera does."""
+    """Simulate the trial's captures; only a displaced camera requires new tracing, camera noise does not."""
     if trial.stage_error_mm == trial.stage_turn_urad == 0.0:
         captures: AnyCaptures = exact_captures(simulate, trial.at, trial.kind, trial.viewpoints)
         return with_camera_noise(captures, trial.camera_noise_arcmin, rng)

@@ -27,12 +27,12 @@ _Degrees = tuple[int | None, int | None]
 
 @dataclass(frozen=True, eq=False)
 class Workload:
-    """A headset, a scene and, for every round of a timing, a place in the eye box.
+    """A headset, a scene and, for every round of a timing, a position in the eye box.
 
     Attributes:
-        eyes: mappings by name; "right" is one of them.
-        scene: in the world.
-        places: (rounds + 1, 3) in -1..1.
+        eyes: mappings by eye; "right" is always present.
+        scene: the scene, in the world frame.
+        places: (rounds + 1, 3) positions in the eye box, in -1..1.
     """
 
     eyes: Mapping[str, Eye]
@@ -41,22 +41,22 @@ class Workload:
 
     @property
     def mappings(self) -> Eye:
-        """The right eye's."""
+        """Mappings of the right eye."""
         return self.eyes["right"]
 
     @property
     def rounds(self) -> int:
-        """Rounds that count."""
+        """Number of rounds that count."""
         return len(self.places) - 1
 
     @property
     def viewpoints(self) -> FloatArray:
-        """(rounds + 1, 3) of the right eye, device frame."""
+        """Viewpoints (rounds + 1, 3) of the right eye, device frame."""
         return self.mappings.eye_box.at(self.places)
 
     @property
     def one_eye(self) -> "Workload":
-        """The right eye alone."""
+        """The same workload for the right eye alone."""
         return replace(self, eyes={"right": self.mappings})
 
     def with_rounds(self, rounds: int) -> "Workload":
@@ -64,7 +64,7 @@ class Workload:
         return replace(self, places=_places(rounds))
 
     def viewpoint_of_eyes(self, turn: int) -> dict[str, FloatArray]:
-        """Viewpoints (3,) of a round, by eye."""
+        """Return the viewpoints (3,) of a round, by eye."""
         return {eye: mappings.eye_box.at(self.places[turn]) for eye, mappings in self.eyes.items()}
 
 
@@ -81,16 +81,16 @@ def _places(rounds: int) -> FloatArray:
 def bench_model(
     panel: Panel | None = None, eye: str = "right", device: str = DEVICE, degrees: _Degrees = (None, None)
 ) -> Eye:
-    """Return a planar model of a shipped device, whose panel may be given another number of pixels.
+    """Return a planar model of a shipped device, optionally with another number of panel pixels.
 
-    As `calibrate` fits it, unless the degrees of the display and of see-through are limited.
+    It is fitted as by `calibrate`, with the degrees of the display and see-through mappings limited if given.
     """
     truth = traced_eye(load_device(device), eye)
     return _planar(truth, panel or truth.display.panel, _SEED, degrees)
 
 
 def _planar(truth: Eye, panel: Panel, seed: int, degrees: _Degrees) -> Eye:
-    """Fit an eye by a simulated calibration with camera noise, with its panel in other pixels."""
+    """Fit an eye to a simulated calibration with camera noise, with its panel resampled to other pixels."""
     captures = simulated_captures(truth, seed)
     display, see_through = captures.both
     pixel = display.pixel / display.panel.size_px * panel.size_px
@@ -99,7 +99,7 @@ def _planar(truth: Eye, panel: Panel, seed: int, degrees: _Degrees) -> Eye:
 
 
 def bench_scene(triangles: int = TRIANGLES) -> Scene:
-    """Return the sculpture alone, with about `triangles` triangles, large in the field, one directional light."""
+    """Return the sculpture alone, close to the eyes, with about `triangles` triangles and one directional light."""
     mesh = sculpture(height_m=0.5, around=_AROUND, along=max(8, round(triangles / (2 * _AROUND))))
     placed = np.eye(4)
     placed[:3, 3] = [0.03, -0.45, -0.8]

@@ -1,1 +1,1 @@
-"""Which model of the pupil the decoded captures of a headset from two viewpoints support."""
+"""The CPU cost of submitting frames to the compositor, for each way of using it."""

@@ -1,7 +1,7 @@
-"""Counts of OpenGL calls, whether through ctypes or ModernGL, and drawing calls that do nothing.
+"""Counts of OpenGL calls, made through ctypes or ModernGL, and a way to make drawing calls do nothing.
 
-OpenGL functions are loaded by address. In place of each function, the loader gets the address of a few bytes of machine
-code that count the call and jump on: to the function, or, for drawing, to a return.
+OpenGL functions are loaded by address. Instead of a function's address, the loader gets the address of a few bytes of
+machine code that count the call and then jump to the function, or, while drawing is switched off, to a return.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ _IS_DRAWING = re.compile(
 
 
 def is_get(name: str) -> bool:
-    """Return whether a function only reads state, for which threaded drivers wait."""
+    """Return whether a function only reads state; threaded drivers must wait for such calls."""
     return bool(_IS_GET.match(name))
 
 
@@ -51,12 +51,12 @@ class GlCalls:
         self._address = ctypes.addressof(ctypes.c_char.from_buffer(self._memory))
         self._memory[: len(_NOTHING)] = _NOTHING
         self._end = _FUNCTION_BYTES
-        # By name: the counting code of each address, where it counts, where it jumps to, and the function.
+        # For each name and address with counting code: the counter, the slot with the jump's target, and the function.
         self._functions: dict[str, list[tuple[ctypes.c_uint64, ctypes.c_uint64, int]]] = {}
         self._codes: dict[tuple[str, int], int] = {}
 
     def address(self, name: str, function: int) -> int:
-        """Address of code that counts a call of a function and calls it; 0 for 0."""
+        """Return the address of code that counts a call of a function and then runs the function; 0 for 0."""
         if not function:
             return 0
         if (name, function) not in self._codes:
@@ -71,18 +71,18 @@ class GlCalls:
         return self._codes[name, function]
 
     def start(self) -> None:
-        """Count from 0."""
+        """Set all counts to 0."""
         for counter, _, _ in self._each():
             counter.value = 0
 
     def found(self) -> dict[str, int]:
-        """Return calls since `start`, by name of the function, without functions that were not called."""
+        """Return the number of calls since `start` by name, without functions that were not called."""
         counts = {name: sum(each[0].value for each in found) for name, found in self._functions.items()}
         return {name: count for name, count in counts.items() if count}
 
     @contextlib.contextmanager
     def without_drawing(self) -> Iterator[None]:
-        """Let drawing, clearing and copying of framebuffers do nothing."""
+        """Make drawing, clearing and copying of framebuffers do nothing in this block."""
         drawing = [each for name, found in self._functions.items() if _IS_DRAWING.match(name) for each in found]
         for _, slot, _ in drawing:
             slot.value = self._address
@@ -94,7 +94,7 @@ class GlCalls:
 
     @contextlib.contextmanager
     def counted(self) -> Iterator[None]:
-        """Count functions that are looked up in this block, also when they are called after it."""
+        """Count calls of functions that are looked up in this block, including calls after the block."""
         openers = dict(gl._OPENERS)
         loaders: tuple[Any, ...] = CurrentContext, NativeContext
         before = [loader.load_opengl_function for loader in loaders]

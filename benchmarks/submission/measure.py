@@ -1,4 +1,4 @@
-"""One host program for each way of using a compositor; its frames are counted and timed without drawing."""
+"""A host program for each way of using a compositor; the OpenGL calls and the time of its frames, without drawing."""
 
 import contextlib
 import gc
@@ -23,7 +23,7 @@ WAYS = {
     "block": "context that shares with the host's, one switch a frame",
     "clean": "the context of a clean host",
 }
-"""Ways of using a compositor, with their names in the table."""
+"""Ways of using a compositor, and their names in the table."""
 
 _WARM_UP = 5
 _STORED = StoredDepth(DepthKind.WINDOW, 0.05, np.inf)
@@ -36,9 +36,9 @@ class Submission:
     Attributes:
         calls, gets: OpenGL calls of one frame, and the number of these that read state.
         begin_ms, submit_ms, compose_ms, frame_ms: medians of the CPU time of this thread.
-        peak_bytes: median over frames of the peak of the memory that Python allocates during a frame.
-        kept_bytes: memory that Python keeps after the frames, per frame.
-        by_name: calls by function.
+        peak_bytes: memory that Python allocates at the peak of a frame, median over the frames.
+        kept_bytes: growth of the memory that Python keeps, per frame.
+        by_name: number of calls of each function in one frame.
     """
 
     calls: int
@@ -53,7 +53,7 @@ class Submission:
 
 
 class Host:
-    """A program that draws both eyes into textures of its own and composes into a framebuffer of twice the width."""
+    """A program that draws both eyes into its own textures and composes into a framebuffer of twice the width."""
 
     def __init__(self, models: Mapping[str, Eye], size: tuple[int, int], way: str) -> None:
         settings: Any = {"standalone": True, "require": 410, "backend": "egl"}
@@ -73,7 +73,7 @@ class Host:
             self._screen = ctx.simple_framebuffer((len(models) * size[0], size[1]))
 
     def frame(self, number: int) -> list[float]:
-        """Return times at the start of a frame and after each of its steps, CPU seconds of this thread."""
+        """Run a frame; return this thread's CPU times, in seconds, at its start and after each of three steps."""
         unit = np.array([0.3 * np.sin(0.1 * number), 0.2 * np.cos(0.07 * number), 0.0])
         viewpoints = {eye: mappings.eye_box.at(unit) for eye, mappings in self._models.items()}
         pose, late = np.eye(4), np.eye(4)
@@ -89,7 +89,7 @@ class Host:
         return [*times, time.thread_time()]
 
     def release(self) -> None:
-        """Free everything."""
+        """Free the compositor and the host's context."""
         self.compositor.release()
         if self._caller is not None:
             self._caller.release()
@@ -99,11 +99,11 @@ class Host:
 
 
 def measure(models: Mapping[str, Eye], size: tuple[int, int], way: str, frames: int) -> Submission:
-    """Measure one of `WAYS` over some frames of displays of (width, height).
+    """Measure one of `WAYS` over `frames` frames; `size` is the (width, height) of one eye's display.
 
     Raises:
-        BadInputError: the processor is not an x86-64, or as `Compositor`.
-        MissingGlError: no EGL.
+        BadInputError: the processor is not an x86-64; see also `Compositor`.
+        MissingGlError: EGL is not available.
     """
     calls = GlCalls()
     with calls.counted():
@@ -127,11 +127,11 @@ def measure(models: Mapping[str, Eye], size: tuple[int, int], way: str, frames: 
 
 
 def _allocations(host: Host, frames: int) -> tuple[float, float]:
-    """Median of the peak of each frame over its start, and growth per frame, in bytes."""
+    """Return the median over frames of the peak above the frame's start, and the growth per frame, in bytes."""
     peaks = []
     tracemalloc.start()
     try:
-        for number in range(_WARM_UP):  # the last frames are kept
+        for number in range(_WARM_UP):  # the compositor keeps the last frames
             host.frame(number)
         gc.collect()
         first, _ = tracemalloc.get_traced_memory()

@@ -1,4 +1,4 @@
-"""What a frame costs the CPU: time of submission without drawing, OpenGL calls, and allocations."""
+"""The CPU cost of a frame: time of submission without drawing, OpenGL calls, and allocations."""
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
@@ -17,7 +17,7 @@ from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT
 
 _COMMON = 12
-"""Functions that the second table lists."""
+"""Number of functions that the second table lists."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,10 @@ def run(
     progress: ProgressArgument = SILENT,
     models: Annotated[Mapping[str, Eye] | None, Parameter(parse=False)] = None,
 ) -> Report:
-    """Measure and write submission.html, .md and .json into `options.out`.
+    """Measure, and write submission.html, .md and .json into `options.out`.
 
     Raises:
-        BadInputError: a folder that cannot be written, or a processor other than x86-64.
+        BadInputError: the folder cannot be written, or the processor is not an x86-64.
         MissingGlError: EGL does not open.
     """
     folder = output_folder(options.out)

@@ -1,1 +1,1 @@
-"""How well a few clicks restore the registration of a worn headset after slips."""
+"""The accuracy with which a few clicks restore the registration of a worn headset after slips."""

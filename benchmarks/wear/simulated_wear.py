@@ -1,8 +1,9 @@
-"""Half an hour of simulated wear: slips, warming, an eye tracker with errors, and a wearer who clicks.
+"""Half an hour of simulated wear: slips, a warming panel, an eye tracker with errors, and a wearer who clicks.
 
 The truth is the traced headset. The simulation has effects that the estimator does not model: the tracker's error
-depends on the gaze, its drift and the panel's are not random walks, a slip changes it by a share of its own size, the
-wearer's clicks have heavy tails, and the models are fitted to captures with noise and errors of the stage.
+depends on the gaze; the drifts of the tracker and of the panel are not random walks; a slip changes the tracker's error
+by a share of the slip; the errors of the wearer's clicks have heavy tails; and the models are fitted to captures with
+noise and stage errors.
 """
 
 from dataclasses import dataclass, replace
@@ -28,34 +29,35 @@ from wlr_render.tracking.eye_model import RotatingEye
 
 MINUTES, SLIPS, MOST_CLICKS = 30.0, 3, 8
 SLIP_M = 1e-3, 4e-3
-"""Slips of head-worn glasses in everyday tasks: 0.26 to 4.05 mm ("Slippage of head-worn glasses during real-world
-behavior: an examination, dataset and testing protocol", 35 wearers); here the larger ones."""
+"""Shortest and longest slip: the larger of those measured for head-worn glasses in everyday tasks, 0.26 to 4.05 mm
+for 35 wearers ("Slippage of head-worn glasses during real-world behavior: an examination, dataset and testing
+protocol")."""
 EYE_BOX_M = np.array([0.016, 0.012, 0.008])
-"""Larger than the devices' own, so that slips do not leave it."""
+"""Size of the eye box, larger than the devices' own so that the eye stays in it after slips."""
 _CAPTURES = 25
 _DEPTHS_M = 0.4, 1.0, 3.0
 _CLICK_DEPTHS_M = 0.4, 2.0, 0.6, 4.0, 1.0
 _FIELD_SHARE = 0.85
-_MOST_TURN = np.sin(np.deg2rad(15.0))  # largest turn of the eye; beyond it wearers turn the head
+_MOST_TURN = np.sin(np.deg2rad(15.0))  # sine of the largest turn of the eye; beyond it, wearers turn the head
 _LEAST_BETWEEN_MIN = 4.0
 _WARM_MIN = 10.0
 
 
 @dataclass(frozen=True)
 class Wear:
-    """Sizes of the errors in use.
+    """Sizes of the errors during wear.
 
     Attributes:
         click_arcmin: scatter of clicks per axis.
-        unseen: share of a slip that the eye tracker takes for none: 1 for a headset without an eye tracker.
+        unseen: share of a slip that the eye tracker does not detect; 1 for a headset without an eye tracker.
         fitting_m: error of the tracked viewpoint per axis when the headset is put on.
-        by_gaze: change of that error with the pupil's travel.
-        noise_m: of one sample.
-        drift_m: of the tracker in half an hour.
-        shift_px, growth: of the warm panel.
-        turn_arcmin: of the head tracker, of which a half comes during the half hour.
+        by_gaze: change of that error per metre that the pupil moves.
+        noise_m: noise of one sample of the eye tracker.
+        drift_m: drift of the eye tracker over the half hour.
+        shift_px, growth: shift and relative growth of the warm panel.
+        turn_arcmin: rotation error of the head tracker; it changes by half as much during the half hour.
         pointing_arcmin: the wearer's constant error per axis.
-        wrong: share of clicks that are wrong, by up to a degree.
+        wrong: share of clicks that are wrong by a third of a degree to a degree.
     """
 
     click_arcmin: float = 2.0
@@ -76,12 +78,12 @@ class Slip:
     """Misalignments around one slip, rms in arcminutes over field and depth.
 
     Attributes:
-        minute: of the slip.
-        before: just before.
-        after: after 0, 1, ... MOST_CLICKS clicks.
-        predicted: by the state, likewise.
-        uncorrected: after the slip with the calibrated models and the tracked viewpoint alone.
-        is_named: whether all wrong clicks, and no others, were named in the end; None without wrong clicks.
+        minute: time of the slip.
+        before: misalignment just before the slip.
+        after: misalignments after the slip and 0, 1, ..., MOST_CLICKS clicks.
+        predicted: the same, as predicted by the state.
+        uncorrected: misalignment after the slip with only the calibrated models and the tracked viewpoint.
+        is_named: whether exactly the wrong clicks were named as outliers in the end; None without wrong clicks.
     """
 
     minute: float
@@ -94,11 +96,12 @@ class Slip:
 
 @dataclass(frozen=True)
 class WearResult:
-    """One wear.
+    """The result of one half hour of wear.
 
     Attributes:
-        minutes, corrected, uncorrected: misalignment over time, rms in arcminutes.
-        slips: in their order.
+        minutes: times.
+        corrected, uncorrected: misalignments at those times, rms in arcminutes.
+        slips: slips in order of time.
     """
 
     minutes: tuple[float, ...]
@@ -114,7 +117,7 @@ def worn_eye(device: str) -> Eye:
 
 
 def calibrated(truth: Eye, rng: np.random.Generator) -> Eye:
-    """Models fitted to simulated captures with noise of 0.25' and a stage that errs by 10 um and 30 urad."""
+    """Return models fitted to simulated captures with noise of 0.25' and stage errors of 10 um and 30 urad."""
     setup = CaptureSetup(truth, 0.25, 10e-6, truth.field, stage_turn_rad=30e-6)
     positions = setup.camera_positions("planar", _CAPTURES)
     captures = Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
@@ -155,7 +158,7 @@ class Wearer:
         )
 
     def _seen(self, direction: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return true pupils, tracked ones without noise, and points, (n, 3), for a wearer who looks at dots."""
+        """Return true pupils, tracked pupils without noise, and points, (n, 3) each, for a wearer who looks at dots."""
         ahead = self._truth.eye_box.centre
         eye = RotatingEye.looking_ahead_from(ahead + self._position_m)
         sine = np.linalg.norm(direction[:, :2], axis=1, keepdims=True)
@@ -171,12 +174,12 @@ class Wearer:
         return pupil, tracked, start + step[:, None] * along
 
     def _as_tracked(self, point: FloatArray) -> FloatArray:
-        """Points in the frame of the head tracker."""
+        """Return points in the frame of the head tracker."""
         turn = self._turn[0] + self.minute / MINUTES * 0.5 * self._turn[1]
         return np.asarray(point @ transforms.rotations_of_vectors(turn))
 
     def clicks(self, count: int) -> tuple[Clicks, tuple[int, ...]]:
-        """Clicks at dots of several depths all over the field, and which of them are wrong."""
+        """Return clicks at dots of several depths all over the field, and the numbers of the wrong clicks."""
         low, high = _inner_field(self._truth)
         found: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         wrong = []
@@ -198,7 +201,7 @@ class Wearer:
         return Clicks(pixel, points, samples), tuple(wrong)
 
     def misalignment(self, state: WearState) -> tuple[float, float]:
-        """Rms over field and depth in arcminutes: true, and as the state predicts it; without the tracker's noise."""
+        """Return the true and the predicted rms over field and depth in arcminutes, without the tracker's noise."""
         low, high = _inner_field(self._truth)
         tangents = np.stack(np.meshgrid(*np.linspace(low, high, 4).T), axis=-1).reshape(-1, 2)
         direction = np.repeat(directions.dir_of_tangents(tangents), len(_DEPTHS_M), axis=0)
@@ -220,7 +223,7 @@ def _inner_field(truth: Eye) -> tuple[FloatArray, FloatArray]:
 
 
 def _after(state: WearState, clicks: Clicks, count: int) -> WearState:
-    """After the first clicks; as before where they are refused because they contradict each other."""
+    """Return the state after the first clicks; unchanged if they are refused because they contradict each other."""
     try:
         return state.updated(Clicks(clicks.pixel[:count], clicks.point[:count], clicks.viewpoint[:count]))
     except BadInputError:
@@ -228,7 +231,7 @@ def _after(state: WearState, clicks: Clicks, count: int) -> WearState:
 
 
 def half_hour(truth: Eye, models: Eye, wear: Wear, rng: np.random.Generator) -> WearResult:
-    """Wear a headset: clicks when it is put on, then slips, each unannounced and followed by clicks."""
+    """Simulate wear: clicks when the headset is put on, then slips, each unannounced and followed by clicks."""
     wearer = Wearer(truth, wear, rng)
     never = WearState.begin(models)
     state = WearState.begin(models, WearSettings(click_arcmin=wear.click_arcmin))
@@ -251,7 +254,7 @@ def half_hour(truth: Eye, models: Eye, wear: Wear, rng: np.random.Generator) -> 
         wearer.slip()
         record()
         clicks, wrong = wearer.clicks(MOST_CLICKS)
-        # Each number of clicks is one update from the same state, as when a wearer stops there.
+        # Each number of clicks is one update of the same state, as if the wearer stopped at that number.
         states = [state, *(_after(state, clicks, count) for count in range(1, MOST_CLICKS + 1))]
         true, predicted = zip(*(wearer.misalignment(each) for each in states), strict=True)
         named = set(wrong) == set(states[-1].outliers) if wrong else None

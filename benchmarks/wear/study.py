@@ -30,7 +30,7 @@ from wlr_render.work.workers import as_finished
 
 CLICKS = 5
 WANTED = 1.5
-"""Misalignment after `CLICKS` clicks over that before the slip."""
+"""Largest wanted ratio of the misalignment after `CLICKS` clicks to the misalignment before the slip."""
 _DRAWS = 2000  # number of bootstrap draws
 
 
@@ -65,10 +65,10 @@ class _Task:
 
 
 def run(options: WearOptions = WearOptions(), *, progress: ProgressArgument = SILENT) -> Report:
-    """Simulate the wears; writes wear.html, .md, .json and .png.
+    """Simulate the wears, and write wear.html, .md, .json and .png.
 
     Raises:
-        BadInputError: a faulty device, or an output folder that cannot be written.
+        BadInputError: a device is faulty, or the output folder cannot be written.
     """
     folder = output_folder(options.out)
     tasks = [_Task(device, model) for model in range(options.models) for device in dict.fromkeys(options.device)]
@@ -115,7 +115,7 @@ def _slips(wears: Sequence[WearResult]) -> list[Slip]:
 
 
 def _ratio(wears: Sequence[WearResult]) -> tuple[float, float, float]:
-    """Misalignment after the clicks over that before the slip, and its 95 % interval by a bootstrap over wears."""
+    """Return misalignment after the clicks over that before the slip, and its 95 % interval by bootstrap over wears."""
     squares = np.array([[[slip.after[CLICKS] ** 2, slip.before**2] for slip in wear.slips] for wear in wears]).mean(1)
     drawn = squares[np.random.default_rng(0).integers(0, len(squares), (_DRAWS, len(squares)))].mean(axis=1)
     low, high = np.quantile(np.sqrt(drawn[:, 0] / drawn[:, 1]), (0.025, 0.975))
@@ -169,7 +169,7 @@ def _by_clicks(results: Mapping[str, Sequence[WearResult]]) -> ReportTable:
 
 
 def _over_time(path: Path, results: Mapping[str, Sequence[WearResult]]) -> Picture:
-    """One wear of each device over time."""
+    """Plot one wear of each device over time."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 2.2 * len(results)), dpi=110, layout="constrained")
