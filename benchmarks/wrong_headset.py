@@ -1,6 +1,6 @@
 """Headsets that differ from their prescription in the poses of parts and the shapes of surfaces.
 
-The errors have other parameters (rotations about random points, parts of a mould scaled in one axis) than a fit of the
+The errors have other parameters (rotations about random points, surfaces scaled along one axis) than a fit of the
 prescription, so that the fit cannot reproduce them exactly.
 """
 
@@ -45,7 +45,7 @@ def wrong_headset(
 
 
 def misshapen(shape: Shape, relative: float) -> Shape:
-    """Return a surface with an error of its shape; see `wrong_headset`. Planes stay planes."""
+    """Return a shape with a relative error; see `wrong_headset`. Planes remain planes."""
     if relative == 0.0:
         return shape
     if isinstance(shape, Offset):
@@ -62,7 +62,7 @@ def misshapen(shape: Shape, relative: float) -> Shape:
 
 
 def _bent(shape: XYPolynomial, relative: float) -> FloatArray:
-    """Return the coefficients of a polynomial with a relative error of its curvature along x, conic base included."""
+    """Return the coefficients of a polynomial with a relative error of the vertex curvature, conic base included."""
     stated = shape.coefficients
     coefficients = np.zeros(np.maximum(stated.shape, 3))
     coefficients[: stated.shape[0], : stated.shape[1]] = stated

@@ -54,7 +54,7 @@ class DisplayModel(FittedDisplay):
     MODELLED: ClassVar[str] = "forward"
 
     def contraction(self) -> float:
-        """Largest norm of the derivative of p~ -> carry(viewpoint, t(pixel, p~)); 0 for closed forms.
+        """Return the largest norm of the derivative of p~ -> carry(viewpoint, t(pixel, p~)); 0 for closed forms.
 
         On an untilted plane the norm is |s| ||dt/dp~||. On a plane of slope m it is h / (1 + m . t) times
         ||(I - t m^T / (1 + m . t)) dt/dp~||, with h the height of the viewpoint over the plane along z. h is linear in

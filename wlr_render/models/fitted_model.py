@@ -154,7 +154,7 @@ class FittedModel(ABC):
         return modelled
 
     def contraction(self) -> float:
-        """Contraction of the model's solve over the eye box, see `models.contraction`; 0 for closed forms."""
+        """Return the contraction of the solve over the eye box, see `models.contraction`; 0 for closed forms."""
         return 0.0
 
     def with_spread(self, spread: Covariance) -> Self:

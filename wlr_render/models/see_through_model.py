@@ -52,7 +52,7 @@ class SeeThroughModel(FittedSeeThrough):
     MODELLED: ClassVar[str] = "deviation"
 
     def contraction(self) -> float:
-        """Largest norm of the derivative of t -> straight - (apparent displacement of the point at t).
+        """Return the largest norm of the derivative of t -> straight - (apparent displacement of the point at t).
 
         Real points are `NEAREST_POINT_M` away or farther. The displacement is linear in the point's inverse depth, so
         its two ends suffice; directions and viewpoints are taken on a grid.
