@@ -23,7 +23,7 @@ def captured(
     view_dir: Callable[..., Any],
     eye: str = "left",
     heights: tuple[float, float] = (-HALF_BASELINE_M, HALF_BASELINE_M),
-    rows_per_view: int = 6000,
+    rows_per_view: int = 4000,
 ) -> DisplayCaptures:
     """Captures of random pixels; `view_dir(unit, viewpoint)` with unit panel coordinates -1..1, x mirrored for the
     right eye."""
