@@ -1,11 +1,11 @@
 """A closed-form headset that answers all four questions, for tests that must not depend on the tracer."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.geometry import directions, rays
-from wlr_render.mappings import Eye, EyeBox, Panel, QueryResult, Status
+from wlr_render.geometry import directions, rays, transforms
+from wlr_render.mappings import DisplayMapping, Eye, EyeBox, Panel, QueryResult, Status
 from wlr_render.numerics.arrays import FloatArray
 
 
@@ -55,6 +55,25 @@ class PrismPlate:
         bent = (self.z_m - point[..., 2:]) * [self.prism, 0.0]
         depth = viewpoint[..., 2:] - point[..., 2:] + self.offset_m
         return mapped(directions.dir_of_tangents((point[..., :2] - viewpoint[..., :2] - bent) / depth))
+
+
+@dataclass(frozen=True)
+class TurnedDisplay:
+    """A display that shows each pixel turned by a rotation about the viewpoint."""
+
+    display: DisplayMapping
+    rotation: FloatArray
+
+    @property
+    def panel(self) -> Panel:
+        return self.display.panel
+
+    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
+        seen = self.display.view_dir_of_pixel(pixel, viewpoint)
+        return replace(seen, value=transforms.rotate(self.rotation, seen.value))
+
+    def pixel_of_view_dir(self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
+        return self.display.pixel_of_view_dir(transforms.rotate(self.rotation.T, view_dir), viewpoint)
 
 
 def flat_image_eye() -> Eye:

@@ -1,37 +1,18 @@
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from flat_image import PrismPlate
+from flat_image import PrismPlate, TurnedDisplay
 
 from benchmarks.moved_observations import displaced, straight_error
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.mapping_error import DisplayObservations, SeeThroughObservations
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult
+from wlr_render.mappings import DisplayMapping, Eye, QueryResult
 from wlr_render.numerics.arrays import FloatArray
 
 SHAPES = [(), (1,), (3, 1, 2)]
-
-
-@dataclass(frozen=True)
-class Turned:
-    """A display whose answers are turned about an axis: the combiner tilted by a known angle."""
-
-    display: DisplayMapping
-    rotation: np.ndarray
-
-    @property
-    def panel(self) -> Panel:
-        return self.display.panel
-
-    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
-        seen = self.display.view_dir_of_pixel(pixel, viewpoint)
-        return replace(seen, value=transforms.rotate(self.rotation, seen.value))
-
-    def pixel_of_view_dir(self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
-        return self.display.pixel_of_view_dir(transforms.rotate(self.rotation.T, view_dir), viewpoint)
 
 
 @dataclass(frozen=True)
@@ -106,7 +87,7 @@ def test_directions_invisible_in_the_exact_optics_are_omitted(flat_image_headset
 
 def test_an_injected_rotation_is_measured(flat_image_headset: Eye, display_observations: DisplayObservations) -> None:
     angle = 3.0 * ARCMIN
-    turned = Turned(flat_image_headset.display, transforms.rotation_about("y", angle))
+    turned = TurnedDisplay(flat_image_headset.display, transforms.rotation_about("y", angle))
     error = mapping_error.display_error(turned, display_observations)
     # A direction at height y moves on a circle of radius sqrt(1 - y^2) about the axis.
     radius = np.sqrt(1.0 - display_observations.view_dir[:, 1] ** 2)

@@ -1,15 +1,15 @@
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from flat_image import PrismPlate
+from flat_image import PrismPlate, TurnedDisplay
 from numpy.typing import NDArray
 from present import narrowed
 
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import directions, rays, transforms
-from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 
 VIEWPOINT = np.array([0.004, 0.001, 0.012])
@@ -20,25 +20,6 @@ def shown_points(eye: Eye, viewpoint: NDArray[Any], pixel: FloatArray, distance:
     view_dir = eye.display.view_dir_of_pixel(pixel, viewpoint).value
     origin, direction = rays.split(eye.see_through.real_ray_of_view_dir(view_dir, viewpoint).value)
     return origin + np.asarray(distance)[..., None] * direction
-
-
-@dataclass(frozen=True)
-class Turned:
-    """A display that shows each pixel turned by a rotation about the viewpoint."""
-
-    inner: DisplayMapping
-    rotation: np.ndarray
-
-    @property
-    def panel(self) -> Panel:
-        return self.inner.panel
-
-    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: NDArray[Any], warm_start: object = None) -> QueryResult:
-        answer = self.inner.view_dir_of_pixel(pixel, viewpoint)
-        return replace(answer, value=answer.value @ self.rotation.T)
-
-    def pixel_of_view_dir(self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
-        return self.inner.pixel_of_view_dir(view_dir @ self.rotation, viewpoint)
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2)])
@@ -56,7 +37,7 @@ def test_a_turned_display_is_off_by_the_turn(flat_image_headset: Eye, axis: str)
     rng = np.random.default_rng(2)
     pixel = rng.uniform(0, [140, 100], (200, 2))
     turn = transforms.rotation_about(axis, 3 * directions.ARCMIN)
-    believed = replace(flat_image_headset, display=Turned(flat_image_headset.display, turn))
+    believed = replace(flat_image_headset, display=TurnedDisplay(flat_image_headset.display, turn))
     point = shown_points(believed, VIEWPOINT, pixel, rng.uniform(0.3, 5.0, 200))
     error = misalignment_arcmin(flat_image_headset, VIEWPOINT, pixel, point)
     # A rotation moves a direction by its angle times the sine of the direction's angle from the axis.

@@ -99,7 +99,6 @@ def forward(record: dict[str, Any]) -> Any:
     ("edit", "sentence"),
     [
         (lambda r: r.update(format="other"), "not a model file: its format is not 'wlr-eye-model'"),
-        (lambda r: r.pop("format"), "not a model file"),
         (lambda r: r.update(version=4), "has version 4; this program reads versions 1 to 3"),
         (lambda r: r.update(version=2), "has version 2, which no release wrote; calibrate again"),
         (lambda r: r.update(frame="opencv"), "'frame' is 'opencv'; it must be one of openxr"),
@@ -121,7 +120,6 @@ def forward(record: dict[str, Any]) -> Any:
         (lambda r: forward(r)["terms"][0].update(values=[1e17, 0.0]), r"'forward' reaches 1e\+17 within its own box"),
         (lambda r: forward(r).update(low=[0] * 4, high=[1, 1, 1, 0]), "'low' must be less than 'high'"),
         (lambda r: first(r)["display"]["panel"].update(width_px=10**9), r"has 1000000000x\d+ pixels, more than"),
-        (lambda r: first(r)["display"]["panel"].update(width_px=0), "'width_px' must be a whole number from 1 to"),
         (
             lambda r: first(r)["display"]["base_plane"].update(z_m=1e9),
             r"'z_m' has the value 1e\+09; it must be -1 or more",
@@ -129,7 +127,6 @@ def forward(record: dict[str, Any]) -> Any:
         (lambda r: first(r)["eye_box"].update(size_m=[0.01, -0.01, 0.01]), "'size_m' has a negative size"),
         (lambda r: first(r)["eye_box"].update(size_m=[10, 8, 6]), "is it in millimetres"),
         (lambda r: first(r)["eye_box"].update(centre_m=[32, 0, 0]), "is it in millimetres"),
-        (lambda r: first(r)["eye_box"].update(colour="red"), "unknown key 'colour'"),
         (lambda r: forward(r)["terms"].append(forward(r)["terms"][3]), "'terms' has the same 'orders' twice"),
         (
             lambda r: forward(r)["terms"][0].update(values=[1.0]),
@@ -137,12 +134,7 @@ def forward(record: dict[str, Any]) -> Any:
         ),
         (lambda r: forward(r)["terms"][0].update(values=[1.0, np.nan]), "'values' must be finite"),
         (lambda r: forward(r)["terms"][0].update(values=[1.0, 1e308]), "'values' must be finite and below"),
-        (
-            lambda r: forward(r).update(low=forward(r)["high"]),
-            "'low' must be less than",
-        ),
         (lambda r: first(r)["display"]["panel"].update(width_px=10.5), "'width_px' must be a whole number"),
-        (lambda r: r.update(colour="red"), "unknown key 'colour'"),
         (lambda r: first(r).update(colour="red"), r"\[\[eyes\]\] number 1: unknown key 'colour'"),
         (lambda r: first(r).update(report=[1]), "'report' must be an object"),
         (lambda r: r["eyes"].clear(), "'eyes' must hold one model, or one of each eye"),
@@ -372,13 +364,9 @@ def spread_of(record: dict[str, Any]) -> dict[str, Any]:
         (lambda s: s["apart"]["unit"].__setitem__(0, 0.0), r"\[apart\]: 'unit' must hold positive numbers"),
         (lambda s: s["joint"]["unit"].__setitem__(0, 1e9), r"\[joint\]: 'unit' makes factors above 100"),
         (lambda s: s["joint"]["values"].pop(), "'values' must be 15 lists of 6 whole numbers"),
-        (lambda s: s["joint"]["values"][3].pop(), "'values' must be 15 lists of 6 whole numbers"),
         (lambda s: s["joint"]["values"][3].__setitem__(0, 0.5), "'values' must be 15 lists of 6 whole numbers"),
         (lambda s: s["joint"]["values"][3].__setitem__(0, 10**30), "'values' has a number beyond 64 bits"),
-        (lambda s: s["joint"].pop("values"), "key 'values' is missing"),
         (lambda s: s["joint"].update(orders=[[0, 0, 0, 0]] * 15), "has the same 'orders' twice"),
-        (lambda s: s["joint"].update(orders=[[0, 0, 0, -1]]), "'orders' must be whole numbers from 0 to 50"),
-        (lambda s: s["joint"].update(low=[0.0]), "unknown key 'low'"),
     ],
 )
 def test_a_fault_in_a_spread_is_one_sentence_with_its_name(
