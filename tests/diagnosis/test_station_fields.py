@@ -5,6 +5,7 @@ The shapes are plane waves, humps and steps; the fields are polynomials.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -40,10 +41,6 @@ def wave(variable: FloatArray, period: float) -> FloatArray:
 def beside(values: NDArray[Any]) -> NDArray[Any]:
     """The first of two components; the second is zero."""
     return np.stack([values, np.zeros_like(values)], axis=-1)
-
-
-def nothing(bench: Bench, plan: SessionPlan) -> Readings:
-    return simulate(bench, plan)
 
 
 def bent_panel(bench: Bench, plan: SessionPlan) -> Readings:
@@ -156,12 +153,18 @@ def contest(bench: Bench, plan: SessionPlan, read: Readings, causes: Explanation
     return of_fields(readings, fitted(observations, causes or Explanation()))
 
 
+@pytest.fixture(scope="module")
+def contest_of(bench: Bench, plan: SessionPlan) -> Callable[..., FieldContest]:
+    """(effect) -> the contest of a session with it, made once."""
+    return cache(lambda effect: contest(bench, plan, effect(bench, plan)))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("effect", "station", "coordinates"), EFFECTS, ids=[each[0].__name__ for each in EFFECTS])
 def test_an_effect_is_located_at_its_station(
-    bench: Bench, plan: SessionPlan, effect: Callable[..., Any], station: str, coordinates: str
+    contest_of: Callable[..., FieldContest], effect: Callable[..., Any], station: str, coordinates: str
 ) -> None:
-    first = contest(bench, plan, effect(bench, plan)).located(2.0)[0]
+    first = contest_of(effect).located(2.0)[0]
     assert (first.field.station, first.field.coordinates) == (station, coordinates)
     assert first.log10_odds > 4
 
@@ -198,8 +201,10 @@ def test_the_period_of_a_screw_is_found_between_those_that_are_tried_first(bench
 
 
 @pytest.mark.slow
-def test_the_period_of_fringes_is_found_and_a_bench_has_their_wave(bench: Bench, plan: SessionPlan) -> None:
-    won = contest(bench, plan, fringes(bench, plan))
+def test_the_period_of_fringes_is_found_and_a_bench_has_their_wave(
+    bench: Bench, plan: SessionPlan, contest_of: Callable[..., FieldContest]
+) -> None:
+    won = contest_of(fringes)
     effects = won.located(2.0)
     assert [each.field.period for each in effects[:2]] == pytest.approx([37.0, 37.0], rel=2e-3)
     stated = [
@@ -229,14 +234,16 @@ def test_a_bump_of_any_degree_has_an_error(bench: Bench, plan: SessionPlan) -> N
 
 @pytest.mark.slow
 def test_nothing_is_located_where_nothing_acts(bench: Bench, plan: SessionPlan) -> None:
-    quiet = contest(bench, plan, nothing(bench, plan))
+    quiet = contest(bench, plan, simulate(bench, plan))
     assert quiet.located(2.0) == []
     assert max(each.log10_odds for each in quiet.ranked) < 1.0
 
 
 @pytest.mark.slow
-def test_a_displacement_is_returned_in_the_units_of_its_station(bench: Bench, plan: SessionPlan) -> None:
-    won = contest(bench, plan, bent_panel(bench, plan))
+def test_a_displacement_is_returned_in_the_units_of_its_station(
+    bench: Bench, plan: SessionPlan, contest_of: Callable[..., FieldContest]
+) -> None:
+    won = contest_of(bent_panel)
     (effect, *_) = won.located(2.0)
     ((values, _),) = won.values_and_covariances([effect], won.scatter_beside([effect]))
     found, read = effect.acting.displacement(values), simulate(bench, plan).panel_pixel

@@ -129,9 +129,12 @@ def test_the_documented_example_is_a_cause_and_the_list_is_complete(bench: Bench
     (effect,) = moved.effects
     turns = effect.function(np.array([[2.5, 0.0, 0.0], [3.0, 1.0, 2.0]]))
     np.testing.assert_allclose(turns, [[3.0, 0.0, 0.0, 0.0, 0.0, 0.0], [-4.0, 0.0, 0.0, 0.0, 0.0, 0.0]], atol=1e-12)
-    for each in CAUSES.values():
-        listed = ", ".join(f"`{p.name}`: {p.unit} ({p.prior_sigma:g})" for p in each.parameters)
-        assert f"| `{each.name}` | {listed} |\n" in text
+    listed = [
+        (each.name, ", ".join(f"`{p.name}`: {p.unit} ({p.prior_sigma:g})" for p in each.parameters))
+        for each in CAUSES.values()
+    ]
+    assert re.findall(r"^\| `(\w+)` \| (`\w+`: \S+ \(.*) \|$", text, re.MULTILINE) == listed
+    assert [*CAUSES] == [name for name, _ in listed]
 
 
 @pytest.mark.parametrize(
