@@ -42,7 +42,8 @@ def test_a_session_is_a_capture_file(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_capture_bumped_by_300_um_is_found() -> None:
     captures, true = lab_captures("birdbath28", seed=1, bump_um=(300.0, 300.0))
-    few = Captures(*(select(part, np.arange(len(part)) % 5 == 0) for part in captures.both))
+    shown, seen = captures.both
+    few = Captures(select(shown, np.arange(len(shown)) % 5 == 0), select(seen, np.arange(len(seen)) % 5 == 0))
     for fit in calibrate(few).both:
         rows = [np.flatnonzero(fit.captures.visits[1] == each.capture)[0] for each in fit.smooth.moved]
         assert {int(fit.captures.capture[row]) for row in rows} == set(true.bumped.tolist())
