@@ -83,3 +83,33 @@ def test_a_benchmark_refuses_the_options_of_another(capsys: pytest.CaptureFixtur
     for arguments in (["speed", "--trials", "3"], ["diagnosis", "--record", "kept"], ["raster", "a", "--seed", "1"]):
         assert main(arguments) == 2
         assert arguments[-2] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("accuracy --part densty", "densty"),
+        ("accuracy --draws 0", "--draws is 0"),
+        ("accuracy --part stage --counts 3", "--counts is used with --part camera-positions"),
+        ("accuracy --part time --stuck 5", "--stuck is used with --part stuck"),
+        ("accuracy --box 10 8 0", "--box is 0.0; it must be a finite number above 0"),
+        ("accuracy no-such-device", "no-such-device"),
+        ("accuracy no_optics --eye left", "no left eye"),
+        ("design --headsets vive", "vive"),
+        ("design --sessions 1", "--sessions is 1; it must be between 2 and 1000."),
+        ("paper --degrees 13", "--degrees is 13"),
+        ("paper no-such-device", "no-such-device"),
+        ("published-data itoh .", "itoh-seethrough"),
+        ("rivals --measured .", "holds none of itoh_hmd_calibration/dataset"),
+        ("rivals --measured none", "none: there is no such folder"),
+        ("rivals --sets views", "--sets is used with --measured only"),
+    ],
+)
+def test_impossible_studies_are_refused_before_they_start(
+    arguments: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([*arguments.split(), "--out", "out"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert words in line
+    assert not list(tmp_path.glob("out/*"))

@@ -13,7 +13,6 @@ from present import narrowed
 from small_headsets import changed_device
 
 from benchmarks import trial_study
-from benchmarks.__main__ import main
 from benchmarks.accuracy.study import AccuracyOptions, run
 from benchmarks.trial_study import Study, pooled, trial_at
 from benchmarks.trials import (
@@ -126,24 +125,3 @@ def test_the_eye_box_is_that_of_the_device_unless_another_is_given(
         ["northstar (right)", "6 x 4 x 4 mm"],
     ]
     assert taken == [{(6.0, 4.0, 4.0)}, {(9.0, 7.0, 5.0)}]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--part", "densty"], "densty"),
-        (["--draws", "0"], "--draws is 0"),
-        (["--part", "stage", "--counts", "3"], "--counts is used with --part camera-positions"),
-        (["--box", "10", "8", "0"], "--box is 0.0; it must be a finite number above 0"),
-        (["no-such-device"], "no-such-device"),
-        (["no_optics", "--eye", "left"], "no left eye"),
-    ],
-)
-def test_impossible_studies_are_refused_before_they_start(
-    arguments: Sequence[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["accuracy", *arguments, "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert len(error.splitlines()) == 1
-    assert not (tmp_path / "out").exists()

@@ -89,8 +89,3 @@ def test_the_benchmark_keeps_its_tables(tmp_path: Path) -> None:
     kept = (tmp_path / "accuracy.md").read_text()
     assert "Wrong maxima: 30 um and 100 urad" in kept
     assert kept == (tmp_path / "out" / "accuracy.md").read_text()
-
-
-def test_an_option_without_its_part_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["accuracy", "--part", "time", "--stuck", "5", "--out", str(tmp_path / "out")]) == 2
-    assert "--stuck is used with --part stuck" in capsys.readouterr().err

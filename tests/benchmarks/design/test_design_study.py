@@ -1,11 +1,7 @@
 """The benchmark of designs: its table, options, one session."""
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import pytest
 
-from benchmarks.__main__ import main
 from benchmarks.design import trial as design_trial
 from benchmarks.design.study import design_table
 from benchmarks.design.trial import DESIGNS, DesignOutcome, DesignTrial, run_trial
@@ -26,18 +22,6 @@ def test_the_table_compares_designs_within_sessions() -> None:
     low, high = map(float, str(second[8]).split(" to "))
     assert low == 0.0  # of two sessions with ratios 2 and 0.5 nothing is known
     assert high > 100.0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [(["--headsets", "vive"], "vive"), (["--sessions", "1"], "--sessions is 1; it must be between 2 and 1000.")],
-)
-def test_bad_options_get_a_sentence(
-    arguments: Sequence[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["design", *arguments, "--out", str(tmp_path / "out")]) == 2
-    assert words in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

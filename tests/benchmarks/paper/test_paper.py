@@ -1,11 +1,6 @@
-from collections.abc import Sequence
-from pathlib import Path
-
 import numpy as np
-import pytest
 from present import narrowed, present
 
-from benchmarks.__main__ import main
 from benchmarks.moved_observations import moved_back, self_inconsistency_arcmin
 from benchmarks.paper.along_rays import (
     DepthMeasure,
@@ -77,15 +72,3 @@ def test_a_true_display_is_unchanged_along_its_rays(flat_image_headset: Eye) -> 
         flat_image_headset.display, display_observations.viewpoint, display_observations.pixel, np.array(0.003)
     )
     np.testing.assert_allclose(inconsistency, 0.0, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [(["--degrees", "13"], "--degrees is 13"), (["no-such-device"], "no-such-device")],
-)
-def test_impossible_studies_are_refused_before_they_start(
-    arguments: Sequence[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["paper", *arguments, "--out", str(tmp_path / "out")]) == 2
-    assert words in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

@@ -129,13 +129,3 @@ def test_the_plate_is_found_and_predicts_the_other_distance(
         assert after == pytest.approx(noise, rel=0.1)
     assert "Fitted to all other captures, the causes found predict each see-through capture to 0." in report.verdict
     assert "Fitted to all other distances, the causes found predict 1." in report.verdict
-
-
-def test_an_unknown_set_is_refused_and_the_known_ones_are_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert benchmark(["published-data", "itoh", str(tmp_path), "--out", str(tmp_path / "session")]) == 2
-    error = capsys.readouterr().err
-    assert "itoh-seethrough" in error
-    assert len(error.splitlines()) == 1
-    assert not (tmp_path / "session").exists()

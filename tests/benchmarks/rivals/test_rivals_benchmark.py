@@ -91,15 +91,6 @@ def test_a_table_along_a_line_is_linear_also_beyond_its_ends() -> None:
     assert np.abs(missed).max() > 1e-4
 
 
-def test_a_folder_without_any_set_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["rivals", "--measured", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
-    assert "holds none of itoh_hmd_calibration/dataset" in capsys.readouterr().err
-    assert main(["rivals", "--measured", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
-    assert "none: there is no such folder" in capsys.readouterr().err
-    assert main(["rivals", "--sets", "views", "--out", str(tmp_path / "out")]) == 2
-    assert "--sets is used with --measured only" in capsys.readouterr().err
-
-
 def tables(folder: Path, name: str, tmp_path: Path) -> list[dict[str, Any]]:
     assert main(["rivals", "--measured", str(folder.parent), "--sets", name, "--out", str(tmp_path)]) == 0
     found: list[dict[str, Any]] = json.loads((tmp_path / "rivals.json").read_text())["tables"]

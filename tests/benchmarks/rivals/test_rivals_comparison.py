@@ -31,10 +31,10 @@ BOX = (10.0, 8.0, 6.0)
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two conditions and two numbers of camera positions."""
+    """Two conditions and one number of camera positions."""
     monkeypatch.setattr(methods_module, "CONDITIONS", {"exact": {}, "0.25 px": {"camera_noise_arcmin": 0.25}})
     monkeypatch.setattr(methods_module, "_NOISY", "0.25 px")
-    monkeypatch.setattr(methods_module, "COUNTS", (9, 12))
+    monkeypatch.setattr(methods_module, "COUNTS", (9,))
     monkeypatch.setattr(methods_module, "POSITIONS", 9)
 
 
