@@ -50,12 +50,12 @@ class LabTrial(Trial):
 
     @property
     def has_random_errors(self) -> bool:
-        """Repetitions are other sessions."""
+        """True: each repetition is another session."""
         return True
 
     @property
     def shared(self) -> object:
-        """Sessions share no captures, see `Trial`."""
+        """Key that is different for all sessions, because they share no captures; see `Trial`."""
         return self
 
     def run(self, seed: int) -> Outcome:

@@ -65,8 +65,10 @@ class Coverage:
     """True errors of one region of a panel and their predicted covariance.
 
     Attributes:
-        condition: one of `CONDITIONS`. region: one of `REGIONS`.
-        points: number of errors. inside: number of them within each ellipse of `SHARES`.
+        condition: one of `CONDITIONS`.
+        region: one of `REGIONS`.
+        points: number of errors.
+        inside: number of errors within each ellipse of `SHARES`.
         true, predicted: sums of squared lengths, square arcminutes.
     """
 

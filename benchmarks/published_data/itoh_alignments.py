@@ -1,8 +1,8 @@
 """SPAAM sittings of one wearer with tracked eye positions (YutaItoh/HMD-Calibration; Itoh and Klinker, 3DUI 2014).
 
 A sitting is some twenty alignments of a crosshair with a real marker, and the eye positions that a tracker camera on
-the headset saw meanwhile. All is in the frame of the headset's world camera: OpenGL axes (x right, y up, looking along
--z), metres.
+the headset saw meanwhile. All data are in the frame of the headset's world camera: OpenGL axes (x right, y up, looking
+along -z), metres.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Sitting:
         pixel: (n, 2) pixels of the crosshair, rows downwards or upwards as in the set.
         point: (n, 3) positions of the marker.
         eye: (3,) tracked position of the eye.
-        eye_spread: mean distance of the tracked positions from it, summed over the axes.
+        eye_spread: mean distance of the tracked positions from `eye`, summed over the axes.
     """
 
     name: str

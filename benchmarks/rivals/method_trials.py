@@ -43,7 +43,7 @@ DEPTHS_M = (0.25, 0.5, 1.0, 10.0)
 """Distances of real points between and beyond the targets of the captures."""
 OUTLIER_PX = 8.0
 TURN_DEG, SHIFT_MM = 0.2, 0.3
-"""Assembly errors per axis by which a headset differs from its prescription as drawn."""
+"""Assembly errors per axis by which a headset differs from its drawn prescription."""
 TRACKING_MM = 0.05
 """Error of eye tracking per axis."""
 FRAME_NODES = 17

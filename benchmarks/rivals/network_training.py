@@ -83,7 +83,8 @@ class TanhLayers:
         """Return the derivative (numbers,) of a loss by the weights.
 
         Args:
-            weights: (numbers,). values: result of `values`.
+            weights: (numbers,) weights.
+            values: result of `values`.
             by_last: (n, sizes[-1]) derivative of the loss by the last layer's values.
         """
         found: list[FloatArray] = []
@@ -131,7 +132,8 @@ class ProjectedLoss:
         """Return the loss of some rows of samples.
 
         Args:
-            samples: samples to fit. rows: (n,) rows of the samples.
+            samples: samples to fit.
+            rows: (n,) rows of the samples.
             layers: hidden layers.
             degree: degree of the polynomial trend.
             known: polynomial that is subtracted from the observed values first.

@@ -20,8 +20,8 @@ class NumericRegressor:
         function: function of inputs (m, variables) that returns outputs (m, outputs).
         box: box of the inputs.
         outputs: number of outputs.
-        numbers: number of numbers in a file.
-        rounding: rounding error of values of about 1, a lower bound of tolerances of solves.
+        numbers: count of the numbers to be stored in a file.
+        rounding: rounding error of values of about 1; no solve has a smaller tolerance.
     """
 
     function: Callable[[FloatArray], FloatArray]

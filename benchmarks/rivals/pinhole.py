@@ -61,7 +61,7 @@ def spaam_redone(captures: Captures) -> tuple[PinholeDisplay, FixedEyeSeeThrough
     It is the best case of a user who aligns again after each motion of the headset.
 
     Raises:
-        BadInputError: as `spaam`, for any camera position.
+        BadInputError: see `spaam`; also for any single camera position.
     """
     display, see_through = captures.both
     return _by_position(display, see_through, np.unique(display.capture).tolist())
@@ -121,7 +121,7 @@ def indica_recycle(captures: Captures) -> PinholeDisplay:
     refraction in the combiner, see `direct_plane`.
 
     Raises:
-        BadInputError: as `spaam`, or all captures were taken at one position.
+        BadInputError: all captures were taken at one position; see also `spaam`.
     """
     display, _ = captures.both
     _require_positions(display)

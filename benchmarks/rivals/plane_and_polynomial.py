@@ -27,7 +27,7 @@ def wientapper_display(
     Adapted: held-out camera positions choose the total degree; the fit minimises angles.
 
     Args:
-        captures: of the panel, from two or more camera positions.
+        captures: captures of the panel from two or more camera positions.
         bundled: True for a polynomial of pixel and point on the base plane, instead of pixel and viewpoint.
         degree: total degree of the polynomial; None for the degree with the least error at held-out positions.
 

@@ -50,7 +50,7 @@ def errors_over_sigma(bench: CalibratedBench, truth: BenchTruth) -> dict[str, Sq
 
 @dataclass(frozen=True, eq=False)
 class _Pose:
-    """A pose as found, the true pose, and the derivative (6, unknowns) and own covariance of its small motions."""
+    """An estimated and a true pose, and the derivative (6, unknowns) and additional covariance of small motions."""
 
     found: FloatArray
     true: FloatArray

@@ -90,7 +90,8 @@ class BenchOutcome:
         failed: checks that are not ok.
         excluded: photographs excluded from the captures.
         refused: error that stopped the calibration; "" if there was none.
-        named: True if the fault is named. first: True if it is the only named fault.
+        named: True if the fault is named.
+        first: True if it is the only named fault.
         sigmas: errors over stated sigmas, by kind of unknown.
         sizes: variance components of the stage, by name.
         errors: rms errors of the models, by side and source.
