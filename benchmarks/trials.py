@@ -58,6 +58,7 @@ class EvaluatedEye:
         eye: "left" or "right".
         eye_box_mm: edge lengths of the eye box, about the centre of the device's own.
         whole_panel: True if the whole panel is captured and evaluated instead of the nominal field.
+        name: name of the device.
     """
 
     device: str
@@ -190,7 +191,7 @@ class Trial:
         eye_box_mm: edge lengths of the eye box.
         camera_noise_arcmin, stage_error_mm, stage_turn_urad: standard deviations per axis of the bench's errors.
         repeat: number of the repetition; each has other random errors.
-        whole_panel: the whole panel is captured and evaluated instead of the nominal field.
+        whole_panel: True if the whole panel is captured and evaluated instead of the nominal field.
         eye: "left" or "right".
     """
 

@@ -5,7 +5,7 @@ uniform sampler2D bends;
 uniform sampler2D mixed_bends_and_ranges;
 uniform float most_samples_per_axis;  // samples of a display pixel
 
-// The backdrop, an older picture, is drawn where the picture in front is DISOCCLUDED, which it never is in direct
+// The backdrop, an older picture, is drawn where the picture in front is DISOCCLUDED, which never happens in direct
 // cells.
 uniform bool is_backdrop;
 uniform sampler2D front_ranges;

@@ -98,7 +98,7 @@ def draw(options: SoakOptions, models: Mapping[str, Eye], progress: Progress = S
     """Draw all frames of some models without writing files.
 
     Raises:
-        BadInputError: as `run`.
+        BadInputError: see `run`.
     """
     boxes = {eye: each.eye_box for eye, each in models.items()}
     moments = options.wearer.moments(boxes, options.frames, options.frames_per_second, 1e-3 * options.late_ms)

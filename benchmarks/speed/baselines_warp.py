@@ -77,7 +77,7 @@ class GlWarpBaseline:
     """One warp in its own OpenGL context.
 
     Attributes:
-        context: ModernGL's; a context manager that makes it current.
+        context: ModernGL's context; used as a context manager, it is current.
         draw: draws one frame into the target; returns before the GPU has finished.
         read: reads the target, (height, width, 4) uint8, top row first.
         release: destroys the context and all its objects.

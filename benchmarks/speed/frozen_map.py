@@ -7,8 +7,8 @@ map depends on neither depth nor pupil, and the picture is drawn from the eye po
 The error is as follows. Let v0 be that position and R the picture's axes; at tangents t, the picture shows the points
 X(t, Z) = v0 + R (Z tx, Z ty, -Z). At pixel p the interpolated map has tangents m(p): the panel's pixel p shows the
 point X(m(p), Z) if there is a surface at it. An eye at v sees the light of pixel p in the direction d(p, v) of the
-display mapping, and the real X in the direction s(X, v) of the see-through mapping. The error is the angle between d(p,
-v) and s(X(m(p), Z), v): the misalignment of `evaluation.misalignment`, for the world at depth Z.
+display mapping, and the real X in the direction s(X, v) of the see-through mapping. The error is the angle between the
+directions d(p, v) and s(X(m(p), Z), v): the misalignment of `evaluation.misalignment`, for the world at depth Z.
 
 With v = v0, and at the map's points, the error is zero if m is where the exact ray (a, b, c, d) of `RayMap` passes
 the depth Z, m = (a + c / Z, b + d / Z): only the interpolation error remains. A runtime's map is the one for

@@ -178,7 +178,7 @@ def in_ms(milliseconds: float) -> str:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure taken from times.
+    """A figure computed from times.
 
     Attributes:
         value: the figure.

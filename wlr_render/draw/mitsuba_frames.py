@@ -1,13 +1,13 @@
 """Path-traced frames on the panel's own rays: the only module that imports Mitsuba 3.
 
 Surfaces are matt on both sides, as in `shading.py`, which draws direct light only. Mitsuba's Lambert surface reflects
-1/pi of the light and ours all of it, so lights are pi times as strong there. The ambient light is a sky of one colour,
-which corners and cracks see less of, and which the background does not show. An albedo above 1 is clipped to 1, because
-paths would gain light without end.
+1/pi of the light and ours all of it, so Mitsuba gets lights that are pi times as strong. The ambient light is a sky of
+one colour, which is partly hidden from corners and cracks, and which the background does not show. An albedo above 1 is
+clipped to 1, because paths would gain light without end.
 
 Mitsuba compiles for the processor with LLVM, which it loads as a shared library: the only variant that takes arrays of
 rays without a GPU. An LLVM that is too old ends the whole process when the first path is compiled, so its version is
-checked before.
+checked beforehand.
 """
 
 import contextlib

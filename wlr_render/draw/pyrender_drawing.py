@@ -115,7 +115,7 @@ class PyrenderView:
 
 @contextlib.contextmanager
 def _standing_at(pyrender: Any, graph: Any, node: Any, view: View) -> Iterator[StoredDepth]:
-    """Give a camera node a view's pose and intrinsics in a block; yield the content of its depth buffer then."""
+    """Give a camera node a view's pose and intrinsics in a block; yield the encoding of its depth buffer."""
     camera, pose, main = node.camera, node.matrix.copy(), graph.main_camera_node
     (focal_u, focal_v), (centre_u, centre_v) = view.camera.focal_px, view.camera.centre_px
     far = _FAR_M if camera.zfar is None else camera.zfar

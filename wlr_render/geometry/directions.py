@@ -1,4 +1,4 @@
-"""Unit directions, their tangents, and angles between them. Device frame: looking along -z."""
+"""Unit directions, their tangents, and angles between them. In the device frame, the wearer looks along -z."""
 
 import numpy as np
 

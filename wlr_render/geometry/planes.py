@@ -18,7 +18,7 @@ class BasePlane:
     Its points are given by x and y, (..., 2), even if the plane is tilted.
 
     Attributes:
-        z: metres, at x = y = 0.
+        z: z at x = y = 0, metres.
         slope: rise of z per metre of x and of y. Without slope the projection along a ray is linear in its tangents.
     """
 
