@@ -1,4 +1,4 @@
-"""Experiments on the paper's claim: planar and volumetric sampling at equal degree, in depth, by eye box and field."""
+"""Experiments on the paper's claim: planar and volumetric sampling at equal degree, by depth, eye box and field."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

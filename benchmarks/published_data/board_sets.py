@@ -14,7 +14,7 @@ class PhotographSet:
 
     Attributes:
         name: folder of the set.
-        part: beginning of the photographs' names, or the subfolder, of this camera; empty for all.
+        part: start of the names, or subfolder, of this camera's photographs; empty for all.
         board: board as stated by the authors, unless noted otherwise.
         lens: "brown" (five terms), "rational", or "" where neither can describe the field.
         published_fx: the authors' focal length in pixels; None if not stated.

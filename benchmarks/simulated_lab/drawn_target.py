@@ -63,7 +63,7 @@ def wholly_shown(
 ) -> NDArray[np.bool_]:
     """Return a mask (rows, columns) of the dots that lie on the panel with their surroundings.
 
-    The panel's edge displaces the other dots.
+    Other dots would be cut off at the panel's edge, which displaces them.
 
     Args:
         models: models of the eye.

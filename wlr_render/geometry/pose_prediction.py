@@ -32,7 +32,7 @@ def predicted_pose(before: FloatArray, last: FloatArray, between_s: float, ahead
         ahead_s: seconds from `last` to the predicted pose; 0 returns `last`.
 
     Raises:
-        BadInputError: as `check_prediction`.
+        BadInputError: see `check_prediction`.
     """
     check_prediction(between_s, ahead_s)
     (pose,) = transforms.between(before, last, np.array([1.0 + ahead_s / between_s]))
@@ -43,7 +43,7 @@ def predicted_point(before: FloatArray, last: FloatArray, between_s: float, ahea
     """Return the position (3,) at `ahead_s` after `last`, extrapolating the motion from `before` to `last`.
 
     Raises:
-        BadInputError: as `check_prediction`.
+        BadInputError: see `check_prediction`.
     """
     check_prediction(between_s, ahead_s)
     return np.asarray(last + (ahead_s / between_s) * (last - before))

@@ -97,7 +97,7 @@ class RenderTarget:
 
 
 class Pass:
-    """A full-screen shader that fills a target of ours; a compute shader where the context computes."""
+    """A full-screen shader that fills a target of ours; a compute shader if `GlContext.computes`."""
 
     def __init__(self, context: GlContext, name: str, /, **constants: float) -> None:
         """Compile a fragment shader of shaders/ that uses no derivatives."""

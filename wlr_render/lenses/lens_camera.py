@@ -55,7 +55,7 @@ class LensCamera:
         kind: a key of `LENS_KINDS`.
 
     Raises:
-        BadInputError: for an unknown kind, or a number of distortion terms that does not fit the kind.
+        BadInputError: the kind is unknown, or the number of distortion terms does not fit it.
     """
 
     size_px: tuple[int, int]

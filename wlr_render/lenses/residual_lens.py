@@ -20,7 +20,7 @@ _WAVES = 9, 7  # half waves along the sides of the picture: finer residuals aver
 _FALL = 0.1  # decrease of log prior size per half wave: residuals are not smoother than the lens model
 _STEP_PX = 1e-3  # step of the finite differences of the slope
 _GRID = 25  # samples along each side for the field's rms
-_ROUNDS, _CLOSE_PX = 8, 1e-3  # iterations of the inverse, last step: flat fields need 3, steep ones have no inverse
+_ROUNDS, _CLOSE_PX = 8, 1e-3  # most steps of the inverse, last step: flat fields need 3, steep ones have no inverse
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ class SplinedLens:
         fov_x_deg: horizontal field of view in degrees that the knots span.
 
     Raises:
-        BadInputError: for another order, or too few control points for it.
+        BadInputError: the order is neither 2 nor 3, or has too few control points.
     """
 
     size_px: tuple[int, int]

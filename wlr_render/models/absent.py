@@ -1,4 +1,4 @@
-"""Placeholder for a mapping that was not calibrated, without a display or see-through session: any use is an error."""
+"""Placeholder for a mapping that was not calibrated, because its photographs are missing: any use is an error."""
 
 from dataclasses import dataclass
 from typing import NoReturn

@@ -25,7 +25,7 @@ class Answer:
     """A model's answer for one chunk of m elements.
 
     Attributes:
-        value: (m, k).
+        value: (m, k) values.
         inside: (m,) mask of inputs that lie in the boxes of the model's polynomials.
         solved: (m,) mask of converged solves; None for closed forms.
         start: (m, 2) solution to start the next query from; None for closed forms.
