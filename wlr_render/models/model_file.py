@@ -109,7 +109,7 @@ def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, .
     """Add models to a file, keeping its models of other eyes of the same device; returns the eyes that were kept.
 
     Raises:
-        BadInputError: as `save_eye_models`, or as `load_eye_models` for an existing file.
+        BadInputError: see `save_eye_models`, and for an existing file `load_eye_models`.
     """
     new = {model.mappings.eye for model in models}
     present = load_eye_models(path) if Path(path).exists() else {}
@@ -131,7 +131,7 @@ def load_eye_model(path: str | Path, eye: str | None = None) -> EyeModel:
     """Read one eye of a model file: the requested eye, or the only one.
 
     Raises:
-        BadInputError: as `load_eye_models`, or the file lacks that eye, or has both eyes and none was requested.
+        BadInputError: the file lacks that eye, or has both eyes and none was requested; see also `load_eye_models`.
     """
     models = load_eye_models(path)
     if eye is None and len(models) > 1:

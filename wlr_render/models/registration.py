@@ -22,9 +22,10 @@ def model_registration_covariance(
     measured both, counts by its difference: it cancels if it displaces both by the same angle.
 
     Args:
-        display, see_through: the models of one eye, of one fit.
-        pixel: (..., 2) panel pixels. viewpoint: (..., 3), device frame, metres. point: (..., 3) real points, device
-            frame, metres.
+        display, see_through: the models of one eye, from one fit.
+        pixel: (..., 2) panel pixels.
+        viewpoint: (..., 3), device frame, metres.
+        point: (..., 3) real points, device frame, metres.
 
     Returns:
         Covariances (..., 2, 2) in square arcminutes along the axes of `right_and_up` of the pixel's direction; their
@@ -32,7 +33,7 @@ def model_registration_covariance(
         answer.
 
     Raises:
-        BadInputError: a model has no covariance, or the two are not of one fit.
+        BadInputError: a model has no covariance, or the two are not from one fit.
     """
     shown = display.view_dir_of_pixel(pixel, viewpoint).value
     real = see_through.view_dir_of_real_point(point, viewpoint).value
@@ -57,15 +58,16 @@ def registration_changes(
     Products of the derivatives are the covariance, between different pixels and points, too.
 
     Args:
-        display, see_through: the models of one eye, of one fit.
-        pixel: (n, 2) panel pixels. viewpoint: (n, 3), device frame, metres. point: (n, 3), device frame, metres; both
-            models must have answers.
+        display, see_through: the models of one eye, from one fit.
+        pixel: (n, 2) panel pixels.
+        viewpoint: (n, 3), device frame, metres.
+        point: (n, 3) real points, device frame, metres; both models must have answers.
 
     Returns:
         (n, 2, k) arcminutes along `right_and_up` of the pixels' directions, by independent standard normal variables.
 
     Raises:
-        BadInputError: a model has no covariance, or the two are not of one fit.
+        BadInputError: a model has no covariance, or the two are not from one fit.
     """
     displayed = display.view_dir_of_pixel(pixel, viewpoint).value
     of_display = display.direction_changes(pixel, viewpoint, displayed)

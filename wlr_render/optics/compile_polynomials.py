@@ -95,8 +95,8 @@ class _Samples:
     """Traced rays.
 
     Attributes:
-        place: (n, 2) on the base plane.
-        tangents: (n, 2) of the view direction.
+        place: (n, 2) positions on the base plane.
+        tangents: (n, 2) tangents of the view directions.
         inputs, outputs: (n, 4), (n, outputs) inputs and outputs of the polynomial.
         reached: fraction of the rays of the box that passed.
     """

@@ -183,7 +183,7 @@ def _read_shape(table: Table, kind: str) -> Any:
 
 
 def _require_smooth(table: Table, shape: SagSurface, aperture: ClearAperture) -> None:
-    """Refuse a sag too steep for optics within the aperture, or near the vertex along an axis that is open.
+    """Refuse a sag that is too steep for optics within the aperture, or near the vertex along an unlimited axis.
 
     Newton's method does not converge on it, and takes minutes to fail for every pixel.
     """

@@ -34,7 +34,7 @@ curvature_key = partial(Key, quantity=_CURVATURE, most=FLAT_MM, rule=_NOT_0)
 
 
 def _axes(a: FloatArray, b: FloatArray, names: str) -> FloatArray:
-    """Return the right-handed unit axes in columns: `a`, `b` made orthogonal to it, and their product."""
+    """Return right-handed unit axes as columns: along `a`, along `b` made orthogonal to it, and their cross product."""
     size = np.linalg.norm(a) * np.linalg.norm(b)
     if size == 0 or abs(a @ b) > 1e-3 * size:
         raise BadInputError(f"{names} must be perpendicular and not zero.")

@@ -1,4 +1,4 @@
-"""Surfaces displaced from another one: parallel to it, and raised by form errors."""
+"""Surfaces displaced from another surface: parallel to it, and raised by form errors."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -46,7 +46,7 @@ class FormError:
 class Offset(Shape):
     """A surface displaced from another one along its unit normals: by a distance, and by form errors.
 
-    Without errors it is the true parallel surface. A point p of it has the foot q = p - (distance + h(p)) n(q) on the
+    Without errors it is the true parallel surface. A point p on it has the foot q = p - (distance + h(p)) n(q) on the
     base. The height h of the errors is a function of the point itself, not of its foot, so that its normal is n - grad
     h, independent of the curvature of the base. Errors of a surface stated as z(x, y) raise it along its z instead.
 

@@ -63,7 +63,7 @@ def judged_directions(optics: EyeOptics) -> FloatArray:
 
 
 def display_losses(optics: EyeOptics, wavelength_um: float) -> tuple[SurfaceLosses, ...]:
-    """Follow rays from the nominal viewpoint along the display path: one entry for each step, and the panel's."""
+    """Follow rays from the nominal viewpoint along the display path; return an entry for each step, and the panel's."""
     start, view_dir = optics.eye_box.centre, judged_directions(optics)
     alive = np.ones(len(view_dir), dtype=bool)
     entries = []
@@ -100,7 +100,7 @@ def on_panel(optics: EyeOptics, pixel: FloatArray) -> BoolArray:
 def _reasons(
     mirror: Step, arriving: Trace, status: StatusArray, as_mirror: StatusArray, lost: BoolArray
 ) -> dict[str, int]:
-    """Return why rays are lost at a step, given the step as a plain mirror and the status of rays with both."""
+    """Count lost rays at a step by reason; `as_mirror` is the rays' status with a plain mirror in its place."""
     back = trace(Path((mirror,)), arriving.origin, -arriving.direction, GREEN_UM)
     missed, clipped = lost & (status == Status.MISS), lost & (status == Status.CLIPPED)
     is_behind, is_outside = back.status != Status.MISS, as_mirror == Status.CLIPPED

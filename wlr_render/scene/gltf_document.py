@@ -92,7 +92,7 @@ class GltfDocument:
         return self._arrays[accessor]
 
     def floats(self, accessor: int, is_colour: bool = False) -> FloatArray:
-        """Return the values of an accessor; normalised integers, and all of colours, as fractions of the largest."""
+        """Return the values of an accessor; normalised integers and colours become fractions of the largest integer."""
         values = self.values(accessor)
         if values.dtype.kind == "f" or not (is_colour or self.entry("accessors", accessor).get("normalized")):
             return values.astype(np.float64)

@@ -85,7 +85,7 @@ class GridTangents:
 
     @cached_property
     def _affine_and_splines(self) -> "tuple[FloatArray, list[scipy.interpolate.RectBivariateSpline]]":
-        """The affine map (3, 2) next to the grid, and splines of the distances from it."""
+        """The affine map (3, 2) closest to the grid, and splines of the grid's deviations from it."""
         u, v = np.meshgrid(self.u, self.v)
         design = np.stack([u, v, np.ones_like(u)], axis=-1)
         affine = np.linalg.lstsq(design.reshape(-1, 3), self.point.reshape(-1, 2), rcond=None)[0].astype(np.float64)

@@ -62,7 +62,7 @@ class GlassCatalogue:
     cache: dict[tuple[str, tuple[str, ...]], Glass | None] = field(default_factory=dict)
 
     def find(self, name: str, manufacturers: Sequence[str] = ()) -> Glass | None:
-        """Find a glass by its name, of one of the manufacturers if any are given; None if it is in no catalogue.
+        """Find a glass by name, from one of the manufacturers if any are given; None if no catalogue has it.
 
         Raises:
             BadInputError: a catalogue cannot be read, or the glass in it is faulty.
@@ -91,7 +91,7 @@ class GlassCatalogue:
         return Glass(medium, text, True)
 
     def _in_order(self, manufacturers: tuple[str, ...]) -> list[dict[str, GlassEntry]]:
-        """Return the glasses of the files, files named as a manufacturer first, in the order of the manufacturers."""
+        """Return the glasses of each file, first of files named after manufacturers, in the manufacturers' order."""
         places = {maker: place for place, maker in enumerate(manufacturers)}
         ordered = sorted(self.files, key=lambda path: places.get(path.stem.lower(), len(places)))
         return [self._entries[path] for path in ordered]
