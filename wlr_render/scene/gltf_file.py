@@ -183,7 +183,7 @@ def _raw_mesh(document: GltfDocument, name: str, where: str, primitive: dict[str
 
 
 def _vectors(document: GltfDocument, where: str, key: str, accessor: int, components: Sequence[int] = ()) -> FloatArray:
-    """Return an attribute in floats; small integers of positions and normals are of KHR_mesh_quantization."""
+    """Return an attribute as floats; KHR_mesh_quantization allows small integers for positions and normals."""
     values, allowed = document.values(accessor), components or _VECTORS[key]
     is_small = values.dtype.itemsize < 4
     is_plain = key in ("POSITION", "NORMAL") and QUANTISED not in document.tree.get("extensionsUsed", [])

@@ -72,7 +72,7 @@ def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_pe
 
     Raises:
         BadInputError: this OpenCV has no VP9 encoder, `frames` is empty, a frame has another size or type, a
-            rate is not from above 0 to 1000, or the file lacks some frames.
+            rate is not above 0 and at most 1000, or the file lacks some frames.
     """
     if not 0 < frames_per_second <= _FASTEST_FPS:
         raise BadInputError(

@@ -53,7 +53,7 @@ class _Element:
     columns: dict[str, Column] = field(default_factory=dict)
 
     def is_translucent(self) -> bool:
-        """Return whether any row has an 'alpha' below the largest of its type."""
+        """Return whether any row has an 'alpha' below the largest value of its type."""
         alpha = np.asarray(self.columns.get("alpha", ()), dtype=np.float64)
         return bool(alpha.size and alpha.min() not in (1.0, 255.0, 65535.0))
 

@@ -1,4 +1,4 @@
-"""Meshes as their files have them, before they are checked; pictures of textures."""
+"""Meshes as read from their files, before they are checked, and pictures of textures."""
 
 import io
 from dataclasses import dataclass

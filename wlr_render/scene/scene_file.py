@@ -89,7 +89,7 @@ def load_scene(spec: str | Path) -> Scene:
 
 
 def _with(scene: Scene, placed: Placed) -> Scene:
-    """Return the scene and one more object; its instances' mesh indices are shifted."""
+    """Return the scene with one more object; its instances' mesh indices are shifted."""
     meshes, instances, lights, not_drawn = placed
     shifted = tuple(replace(instance, mesh=instance.mesh + len(scene.meshes)) for instance in instances)
     return replace(

@@ -88,7 +88,7 @@ def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
     fixate a point 1 m along their common gaze.
 
     Raises:
-        BadInputError: as `read_openxr_head`, or no positions of the views or pupils.
+        BadInputError: positions of the views and pupils are missing; see also `read_openxr_head`.
     """
     device_from_view, located = _read(path)
     tracks = {eye: _eye_track(path, eye, located, device_from_view) for eye in EYES}

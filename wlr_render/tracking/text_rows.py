@@ -136,9 +136,9 @@ class TextTable:
             needed: roles that a header must name.
 
         Raises:
-            BadInputError: the header lacks a role, names one twice, or states an unknown unit; or a comment that
-            does not name the columns lists the parts of the quaternion in another order than TUM's or, in a table
-            with separators, EuRoC's.
+            BadInputError: the header lacks a role, names one twice, or states an unknown unit; or a comment that does
+                not name the columns lists the parts of the quaternion in another order than TUM's or, in a table with
+                separators, EuRoC's.
         """
         for cells in self._names(roles):
             by_role, twice = self._by_role(cells, roles)
@@ -357,7 +357,7 @@ def require_plausible_motion(where: str, time_s: FloatArray, position_m: FloatAr
     """Refuse trajectories whose positions (n, 3) or times (n,) look like millimetres or milliseconds.
 
     Raises:
-        BadInputError: a position is more than `at_most_m` away, most rows move faster than people do, or as
+        BadInputError: a position is more than `at_most_m` away, or most rows move faster than people do; see also
             `require_plausible_times`.
     """
     require_length(f"{where}: a position", position_m, at_most_m)

@@ -196,7 +196,7 @@ class ViewpointFilter:
 
 
 class _TrustedSamples:
-    """The latest good samples, without samples that a rising lid may have biased."""
+    """The latest good samples, except samples that a rising lid may have biased."""
 
     def __init__(self) -> None:
         self._recent: deque[tuple[float, _Point]] = deque()

@@ -19,7 +19,7 @@ Colour = tuple[float, float, float]
 
 
 def from_grid(name: str, position: FloatArray, normal: FloatArray, uv: FloatArray | None = None) -> Mesh:
-    """Return a grid of points as a mesh, its outside where the columns run right and the rows run down.
+    """Return a grid of points as a mesh: seen from outside, the columns run right and the rows run down.
 
     Args:
         name: name for messages.

@@ -64,7 +64,7 @@ def _surface(t: FloatArray, phi: FloatArray, relief: FloatArray) -> tuple[FloatA
     step = 1e-5
     tangent = _centre_line(t + step) - _centre_line(t - step)
     tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
-    # The normal of the torus that carries the knot closes after one round, without a seam.
+    # The normal of the torus on which the knot lies closes after one turn, without a seam.
     outward = np.stack([-np.cos(3 * t) * np.sin(2 * t), np.cos(3 * t) * np.cos(2 * t), np.sin(3 * t)], axis=-1)
     sideways = np.cross(tangent, outward)
     radius = (0.5 + 0.17 * relief)[..., None]
