@@ -124,7 +124,7 @@ class ComposedFrame:
         Three pictures of an eye may be in flight: while the last three are unread, this waits for the first.
 
         Raises:
-            BadInputError: as `read`.
+            BadInputError: see `read`.
         """
         with self._eye(eye) as own:
             return own.read_async()
@@ -138,7 +138,7 @@ class ComposedFrame:
             eye: may be omitted if there is one.
 
         Raises:
-            BadInputError: as `read`, or a target of another kind, size or context.
+            BadInputError: a target of another kind, size or context; see also `read`.
         """
         with self._eye(eye) as own:
             own.read_into(target)
@@ -147,7 +147,7 @@ class ComposedFrame:
         """Fetch the status of an eye's pixels, (height, width) uint8, one `WarpStatus` each.
 
         Raises:
-            BadInputError: as `read`.
+            BadInputError: see `read`.
         """
         with self._eye(eye) as own:
             return own.read_status()
@@ -172,8 +172,8 @@ class ComposedFrame:
             channel: 0, 1 or 2 for red, green or blue of an eye with three models; green by default.
 
         Raises:
-            BadInputError: as `read`, the frame was composed without pull maps, or red's or blue's is requested after
-                the eye's next `submit`.
+            BadInputError: the frame was composed without pull maps, or red's or blue's is requested after the eye's
+                next `submit`; see also `read`.
         """
         with self._eye(eye) as own:
             source = own.read_source(channel)

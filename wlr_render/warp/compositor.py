@@ -158,7 +158,7 @@ class Compositor:
             The camera to draw with, by eye, as from `locate_views`: a mapping that is also the handle for `submit`.
 
         Raises:
-            BadInputError: as `locate_views`.
+            BadInputError: see `locate_views`.
         """
         return self._history.begin(self.locate_views(pose, viewpoint, time_s=time_s, predict_s=predict_s))
 

@@ -132,7 +132,7 @@ class GivenPictures:
 
         Raises:
             BadInputError: the framebuffer object does not exist, has another size, lacks colour or depth, or has them
-                in a format that cannot be copied; or as `check_depth_format`.
+                in a format that cannot be copied; see also `check_depth_format`.
         """
         number = int(framebuffer if is_number(framebuffer) else framebuffer.glo)
 
@@ -149,7 +149,7 @@ class GivenPictures:
 
         Raises:
             BadInputError: a texture, layer or level does not exist, or has another size or a format that cannot be
-                read; or as `check_depth_format`.
+                read; see also `check_depth_format`.
         """
         layers = [each if isinstance(each, TextureLayer) else TextureLayer(each) for each in given]
 

@@ -78,7 +78,7 @@ class OverlayImport:
         """Return a picture as an array, or as a texture of any kind that `PictureImport.colour_alone` takes.
 
         Raises:
-            BadInputError: another type, or as `PictureImport.colour_alone`.
+            BadInputError: a picture of another type; see also `PictureImport.colour_alone`.
         """
         is_array = isinstance(picture, np.ndarray)
         if not is_array and not is_texture(picture):

@@ -211,7 +211,7 @@ class GlWarp:
         overlays: Sequence[SeenOverlay],
         backdrop: Backdrop | None,
     ) -> None:
-        """Draw to a caller's target, or to one of ours, by a compute shader if the context computes."""
+        """Draw to a caller's target, or to one of ours; with a compute shader if `GlContext.computes`."""
         size_px = target.size_px if isinstance(target, WarpTarget) else target.framebuffer.size
         _check(ray_maps, self._channels, image_from_ray_map)
         if backdrop is not None:

@@ -63,7 +63,7 @@ class PictureImport:
                 colours blend into the wider picture's, in linear light. Without a depth it takes the wider picture's.
 
         Raises:
-            BadInputError: as the methods below, or another type of picture.
+            BadInputError: another type of picture; see also the methods below.
         """
         has_depth = depth is not None
         if isinstance(colour, GpuImage) and wider is not None:
@@ -98,7 +98,7 @@ class PictureImport:
         """Import a picture in memory: colours (height, width, 3 or 4) of `COLOUR_TYPES`, depth (height, width) or None.
 
         Raises:
-            BadInputError: as `stored_picture.check_arrays`.
+            BadInputError: see `stored_picture.check_arrays`.
         """
         check_arrays(colour, depth, stored, camera.size_px, stored_colour)
         with self._context.drawing():
@@ -153,7 +153,7 @@ class PictureImport:
             rows: row that comes first; as usual for that kind if None.
 
         Raises:
-            BadInputError: as `stored_picture.check_colour_array` and `from_textures`.
+            BadInputError: see `stored_picture.check_colour_array` and `from_textures`.
         """
         with self._context.drawing():
             if isinstance(picture, np.ndarray):

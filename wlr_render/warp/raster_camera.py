@@ -243,7 +243,7 @@ def _boxes_cover(first: IntArray, last: IntArray, size: tuple[int, int]) -> Bool
 
 @dataclass(frozen=True, eq=False)
 class EyePlan:
-    """Plan of one eye: all that is fixed over its frames.
+    """Plan of one eye: everything that stays the same in all its frames.
 
     Attributes:
         eye: "left" or "right".

@@ -1,7 +1,7 @@
 """The world ray of every display pixel at one viewpoint: display forward, then see-through forward.
 
 The ray map is smooth in the pixel, so it is solved exactly on a tensor grid of Chebyshev nodes and interpolated at the
-points of a warp grid, mostly all pixels, by two thin matrix products per component. `choose_plan` finds the number of
+points of a warp grid, usually all pixels, by two thin matrix products per component. `choose_plan` finds the number of
 nodes from a measured error; `solve_every_pixel` is the slow plain version, which solves every pixel.
 """
 
@@ -86,7 +86,7 @@ class WarmStart:
 
 @dataclass(frozen=True, eq=False)
 class RayMap:
-    """World rays of all points of a warp grid, mostly the pixels, in a camera frame with its origin at the viewpoint.
+    """World rays of all points of a warp grid, usually the pixels, in a camera frame with its origin at the viewpoint.
 
     Attributes:
         viewpoint_in_device: (3,) metres.

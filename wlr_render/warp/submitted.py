@@ -31,7 +31,7 @@ class DrawnPicture:
             storage: `stored`, `rows` and `stored_colour` of `Compositor.submit`.
 
         Raises:
-            BadInputError: as `Compositor.submit`.
+            BadInputError: see `Compositor.submit`.
         """
         view, given = self.camera.view, (self.colour, self.depth, *storage)
         if not on.is_drawn_whole(view):
