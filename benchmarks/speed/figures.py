@@ -54,7 +54,7 @@ def ratio_figure(quantity: str, ours: str, compared_with: str, found: Estimate, 
 def frame_ratio_figures(
     quantity: str, ours: FrameTimes, other: FrameTimes, name: str, at_most: float | None = None
 ) -> list[Figure]:
-    """Compare two frames' times, as a program sees them and of the GPU's work; `name` is the other frame's name."""
+    """Compare two frames' times, as a program sees them and on the GPU; `name` is the other frame's name."""
     pairs = {quantity: (ours.seen, other.seen), f"{quantity}: GPU work": (ours.gpu, other.gpu)}
     return [
         ratio_figure(what, in_ms(np.median(one)), f"{in_ms(np.median(two))} ({name})", ratio(one, two), at_most)

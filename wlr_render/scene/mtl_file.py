@@ -21,7 +21,7 @@ _NUMBERS = {"-o": (0.0, 0.0, 0.0), "-s": (1.0, 1.0, 1.0), "-t": (0.0, 0.0, 0.0),
 _CHOICES = {"-clamp": "off", "-cc": "off"} | dict.fromkeys(
     ("-blendu", "-blendv", "-texres", "-boost", "-bm", "-type", "-imfchan")
 )
-"""Options with one word, and the word without effect; None if no word affects a diffuse texture."""
+"""Options that take one word, and the word without effect; None if no word affects a diffuse texture."""
 
 
 class Neighbours(Protocol):
