@@ -1,8 +1,7 @@
 """Pictures go where they are told to, upright, and nowhere else."""
 
 import ctypes
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from types import SimpleNamespace
 
 import moderngl
@@ -36,10 +35,9 @@ def one_eye(seen: FloatArray, theirs: moderngl.Context, compositor: Make, flat_i
 
 
 @pytest.fixture
-def two_eyes(theirs: moderngl.Context, compositor: Make, flat_image_headset: Eye) -> Compositor:
-    models = {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
-    made: Compositor = compositor(models, context=theirs)
-    at = {"left": viewpoint(flat_image_headset, -0.7, 0, 0), "right": viewpoint(flat_image_headset, 0.7, 0, 0)}
+def two_eyes(theirs: moderngl.Context, compositor: Make, pair: Mapping[str, Eye]) -> Compositor:
+    made: Compositor = compositor(pair, context=theirs)
+    at = {"left": viewpoint(pair["left"], -0.7, 0, 0), "right": viewpoint(pair["right"], 0.7, 0, 0)}
     draw(made, SceneSource(made, scene()), HEAD, at)
     return made
 

@@ -8,7 +8,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import moderngl
@@ -39,29 +39,41 @@ def own_frame(
     return [frame.read(eye) for eye in made.eyes]
 
 
-def test_two_eyes_through_odd_state_and_back(caller: Caller, compositor: Make, flat_image_headset: Eye) -> None:
-    models = {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
-    seen = {"left": viewpoint(flat_image_headset, -0.7, 0, 0), "right": viewpoint(flat_image_headset, 0.7, 0, 0)}
-    expected = own_frame(compositor, models, seen)
+def switches(caller: Caller) -> dict[str, Any]:
+    state = caller.state()
+    names = [name for name in state if name.startswith(("switch", "colour mask", "depth mask", "polygon", "clip"))]
+    return {name: state[name] for name in names}
+
+
+@pytest.mark.parametrize("host_state", ["kept", "clean"])
+def test_two_eyes_are_those_of_an_own_context_and_leave_the_state(
+    caller: Caller, compositor: Make, pair: Mapping[str, Eye], host_state: str
+) -> None:
+    """All of an odd state, or the switches of one that the host promises to be OpenGL's own."""
+    seen = {"left": viewpoint(pair["left"], -0.7, 0, 0), "right": viewpoint(pair["right"], 0.7, 0, 0)}
+    expected = own_frame(compositor, pair, seen)
     make_current(caller.ctx)
     screen = caller.ctx.simple_framebuffer((2 * SMALL[0], SMALL[1]))
-    caller.set_odd_values()
-    before = caller.state()
-    made = compositor(models, context=caller.ctx)
-    assert_same(caller.state(), before)
+    if host_state == "kept":
+        caller.set_odd_values()
+    look = caller.state if host_state == "kept" else partial(switches, caller)
+    before = look()
+    made = compositor(pair, context=caller.ctx, host_state=host_state)
+    assert_same(look(), before)
     source = SceneSource(made, scene())
     for frame in range(3):
         for camera in made.begin_frame(HEAD, seen).values():
             source.submit(camera)
-            assert_same(caller.state(), before)
+            assert_same(look(), before)
         composed = made.compose()
-        assert_same(caller.state(), before)
+        assert_same(look(), before)
         for eye, picture in zip(made.eyes, expected, strict=True):
             np.testing.assert_array_equal(composed.read(eye), picture, err_msg=str(frame))
         made.compose(screen)
-        assert_same(caller.state(), before)
+        assert_same(look(), before)
     made.release()
-    assert_same(caller.state(), before)
+    assert_same(look(), before)
+    assert caller.ctx.error == "GL_NO_ERROR"
 
 
 def test_faults_leave_the_state_and_the_next_frame_is_right(
@@ -377,59 +389,26 @@ WINDOW = StoredDepth(DepthKind.WINDOW, 0.5, 4.0)
 
 
 @pytest.fixture
-def models(flat_image_headset: Eye) -> dict[str, Eye]:
-    return {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
-
-
-@pytest.fixture
-def clean(caller: Caller, compositor: Make, models: Mapping[str, Eye]) -> Compositor:
-    made: Compositor = compositor(models, context=caller.ctx, host_state="clean")
+def clean(caller: Caller, compositor: Make, pair: Mapping[str, Eye]) -> Compositor:
+    made: Compositor = compositor(pair, context=caller.ctx, host_state="clean")
     return made
 
 
-def seen(models: Mapping[str, Eye]) -> dict[str, FloatArray]:
-    return {eye: viewpoint(each) for eye, each in models.items()}
+def viewpoints(pair: Mapping[str, Eye]) -> dict[str, FloatArray]:
+    return {eye: viewpoint(each) for eye, each in pair.items()}
 
 
-def switches(caller: Caller) -> dict[str, Any]:
-    state = caller.state()
-    names = [name for name in state if name.startswith(("switch", "colour mask", "depth mask", "polygon", "clip"))]
-    return {name: state[name] for name in names}
-
-
-def test_the_pictures_are_those_of_an_own_context_and_no_switch_changes(
-    caller: Caller, compositor: Make, models: Mapping[str, Eye]
-) -> None:
-    before = switches(caller)
-    own = compositor(models, context="egl")
-    draw(own, SceneSource(own, scene()), HEAD, seen(models))
-    frame = own.compose()
-    expected = [frame.read(eye) for eye in own.eyes]
-    make_current(caller.ctx)
-    clean = compositor(models, context=caller.ctx, host_state="clean")
-    assert switches(caller) == before
-    source = SceneSource(clean, scene())
-    for _ in range(2):
-        draw(clean, source, HEAD, seen(models))
-        assert switches(caller) == before
-        composed = clean.compose()
-        assert switches(caller) == before
-        for eye, picture in zip(clean.eyes, expected, strict=True):
-            np.testing.assert_array_equal(composed.read(eye), picture)
-    assert caller.ctx.error == "GL_NO_ERROR"
-
-
-def test_no_state_is_restored(caller: Caller, clean: Compositor, models: Mapping[str, Eye]) -> None:
+def test_no_state_is_restored(caller: Caller, clean: Compositor, pair: Mapping[str, Eye]) -> None:
     """The mode would be worthless if it restored the state after all."""
     caller.framebuffer.use()
     source = SceneSource(clean, scene())
     bound = caller.state()["draw framebuffer"]
-    draw(clean, source, HEAD, seen(models))
+    draw(clean, source, HEAD, viewpoints(pair))
     clean.compose()
     assert caller.state()["draw framebuffer"] != bound
 
 
-def test_pictures_by_number_and_layer(caller: Caller, clean: Compositor, models: Mapping[str, Eye]) -> None:
+def test_pictures_by_number_and_layer(caller: Caller, clean: Compositor, pair: Mapping[str, Eye]) -> None:
     """A picture that is drawn into their objects later is shown."""
     ctx = caller.ctx
     screen = ctx.simple_framebuffer((2 * SMALL[0], SMALL[1]))
@@ -445,7 +424,7 @@ def test_pictures_by_number_and_layer(caller: Caller, clean: Compositor, models:
             {"left": (drawn.glo, None), "right": (drawn, None)},
             {"left": (TextureLayer(colours[0].glo, 1), depth.glo), "right": (colours[1].glo, depth.glo)},
         ):
-            clean.begin_frame(HEAD, seen(models))
+            clean.begin_frame(HEAD, viewpoints(pair))
             for eye, picture in given.items():
                 clean.submit(*picture, eye=eye, stored=WINDOW)
             clean.compose(screen.glo)
@@ -456,13 +435,13 @@ def test_pictures_by_number_and_layer(caller: Caller, clean: Compositor, models:
 
 @pytest.mark.parametrize("host_state", ["kept", "clean"])
 def test_a_number_is_asked_about_in_each_frame_and_a_layer_once(
-    caller: Caller, compositor: Make, models: Mapping[str, Eye], host_state: str
+    caller: Caller, compositor: Make, pair: Mapping[str, Eye], host_state: str
 ) -> None:
     """Another object may have a number in the next frame; who makes a new one makes a new `TextureLayer`."""
     ctx, size = caller.ctx, (2 * SMALL[0], SMALL[1])
-    made = compositor(models, context=ctx, host_state=host_state)
+    made = compositor(pair, context=ctx, host_state=host_state)
     screen, other = ctx.simple_framebuffer(size), ctx.texture(size, 4, bytes(4 * size[0] * size[1]))
-    draw(made, SceneSource(made, scene()), HEAD, seen(models))
+    draw(made, SceneSource(made, scene()), HEAD, viewpoints(pair))
     made.compose(screen.glo)
     caller.gl("glBindFramebuffer", 0x8D40, screen.glo)
     caller.gl("glFramebufferTexture", 0x8D40, 0x8CE0, other.glo, 0)

@@ -75,8 +75,7 @@ def share_of_inset(frame: ComposedFrame, camera: EyeCamera, inset: EyeCamera) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["one", "three", "rolling"])
 def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(compositor: Make, kind: str) -> None:
-    model = planar()
-    models = {"right": [model] * 3} if kind == "three" else model
+    models = {"right": [planar()] * 3} if kind == "three" else planar()
     (wide, camera), (sharp, sharp_camera) = (
         begun(compositor, models, each * RESOLUTION, panel=FLOATS) for each in (1, SHARPER)
     )
@@ -146,8 +145,7 @@ def test_edges_are_as_sharp_as_the_insets_depth(compositor: Make) -> None:
 
 
 def test_an_inset_in_an_inset_and_frames_without(compositor: Make) -> None:
-    model = planar()
-    made, camera = begun(compositor, model, panel=FLOATS)
+    made, camera = begun(compositor, planar(), panel=FLOATS)
     middle = inset_of(camera, 0.6, 2)
     fovea = inset_of(middle, 0.5, 2)
     submit(made, camera)
@@ -160,9 +158,9 @@ def test_an_inset_in_an_inset_and_frames_without(compositor: Make) -> None:
     np.testing.assert_array_equal(both[within < 0], with_middle[within < 0])
     assert (both != with_middle)[within > 0.5].mean() > 0.9
     assert (with_middle != alone).any()
-    made.begin_frame(HEAD, viewpoint(model))
+    made.begin_frame(HEAD, viewpoint(planar()))
     np.testing.assert_array_equal(made.compose(pose=LATER).read(), both)  # a missed frame is shown again
-    again = made.begin_frame(HEAD, viewpoint(model))["right"]
+    again = made.begin_frame(HEAD, viewpoint(planar()))["right"]
     submit(made, again)
     np.testing.assert_array_equal(made.compose(pose=LATER).read(), alone)
     submit(made, again, inset_of(again, 0.6, 2))
@@ -202,8 +200,7 @@ def test_an_inset_texture_without_depth_has_no_border(compositor: Make) -> None:
 
 
 def test_insets_of_all_kinds_of_pictures(compositor: Make) -> None:
-    model = planar()
-    made, camera = begun(compositor, model)
+    made, camera = begun(compositor, planar())
     light, inverse = picture(inset_of(camera))
     codes = encode_srgb(light)
     upwards = [np.ascontiguousarray(each[::-1]) for each in (codes, inverse)]
@@ -225,7 +222,7 @@ def test_insets_of_all_kinds_of_pictures(compositor: Make) -> None:
         ("an sRGB format", (srgb, depth), {}),
         ("framebuffer", (framebuffer,), {"stored": window}),
     ):
-        frame = made.begin_frame(HEAD, viewpoint(model))["right"]
+        frame = made.begin_frame(HEAD, viewpoint(planar()))["right"]
         submit(made, frame)
         made.submit(*given, camera=inset_of(frame), **{"stored": INVERSE} | stored)
         shown[name] = made.compose(pose=LATER).read().astype(int)
@@ -234,8 +231,7 @@ def test_insets_of_all_kinds_of_pictures(compositor: Make) -> None:
 
 
 def test_alpha_runs_from_one_picture_to_the_other(compositor: Make) -> None:
-    model = planar()
-    made, camera = begun(compositor, model, panel=FLOATS)
+    made, camera = begun(compositor, planar(), panel=FLOATS)
     inset, alpha = inset_of(camera), StoredColour("linear", alpha=True)
     for each, value in ((camera, 0.25), (inset, 0.75)):
         light, inverse = picture(each)
@@ -245,15 +241,14 @@ def test_alpha_runs_from_one_picture_to_the_other(compositor: Make) -> None:
     frame.read_into(shown)
     share = share_of_inset(frame, camera, inset)
     np.testing.assert_allclose(shown[..., 3], 0.25 + 0.5 * np.clip(share, 0, 1), atol=0.02)
-    again = made.begin_frame(HEAD, viewpoint(model))["right"]
+    again = made.begin_frame(HEAD, viewpoint(planar()))["right"]
     submit(made, again)
     with pytest.raises(BadInputError, match="has alpha if and only if the picture around it has"):
         made.submit(rgba, inverse, stored=INVERSE, stored_colour=alpha, camera=inset_of(again))
 
 
 def test_insets_that_cannot_be_are_refused_and_the_frame_stays(compositor: Make, flat_image_headset: Eye) -> None:
-    model = planar()
-    made, camera = begun(compositor, model)
+    made, camera = begun(compositor, planar())
     inset = inset_of(camera)
     with pytest.raises(BadInputError, match="does not show this frame; submit its picture before its insets"):
         submit(made, camera, inset)
@@ -274,7 +269,7 @@ def test_insets_that_cannot_be_are_refused_and_the_frame_stays(compositor: Make,
     for fov_rad, size, words in wrong_angles:
         with pytest.raises(BadInputError, match=words):
             camera.inset(fov_rad, size)
-    other = made.begin_frame(LATER, viewpoint(model))
+    other = made.begin_frame(LATER, viewpoint(planar()))
     light, inverse = picture(inset)
     newer = inset_of(other["right"])
     for unlike in (newer, inset):
@@ -304,8 +299,7 @@ def test_insets_that_cannot_be_are_refused_and_the_frame_stays(compositor: Make,
 
 
 def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor: Make) -> None:
-    model = planar()
-    made, camera = begun(compositor, model)
+    made, camera = begun(compositor, planar())
     left, right, up, down = camera.fov_rad
     inset, raster = camera.inset((0.5 * left, 0.5 * right, 0.5 * up, 0.5 * down), camera.size_px), None
     raster = GlRaster(made.context, scene())

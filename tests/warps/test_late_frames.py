@@ -29,8 +29,12 @@ pytestmark = pytest.mark.gl
 MOVED = HEAD @ at(0.004, -0.002, 0.003, transforms.rotation_about("y", 0.01))
 
 
+Both = tuple[Compositor, SceneSource, dict[str, FloatArray]]
+"""A compositor of two eyes, what draws for it, and viewpoints."""
+
+
 @pytest.fixture
-def both(compositor: Make, pair: Mapping[str, Eye]) -> tuple[Compositor, SceneSource, dict[str, FloatArray]]:
+def both(compositor: Make, pair: Mapping[str, Eye]) -> Both:
     made = compositor(pair)
     return made, SceneSource(made, scene()), dict.fromkeys(pair, viewpoint(pair["right"]))
 
@@ -45,9 +49,7 @@ def test_a_missed_frame_is_shown_again_at_the_newest_pose(made: Compositor, seen
     assert (late != still).any()
 
 
-def test_a_frame_says_which_viewpoints_and_pose_it_was_composed_for(
-    both: tuple[Compositor, SceneSource, dict[str, FloatArray]],
-) -> None:
+def test_a_frame_says_which_viewpoints_and_pose_it_was_composed_for(both: Both) -> None:
     made, source, pupils = both
     draw(made, source, HEAD, pupils)
     newer = pupils["right"] + 1e-3
@@ -118,9 +120,7 @@ def test_a_gpu_picture_that_was_drawn_over_is_not_shown_for_the_old_pose(
     assert (made.compose(pose=HEAD).read() != shown).any()
 
 
-def test_one_eye_may_be_begun_submitted_and_composed_alone(
-    both: tuple[Compositor, SceneSource, dict[str, FloatArray]],
-) -> None:
+def test_one_eye_may_be_begun_submitted_and_composed_alone(both: Both) -> None:
     made, source, seen = both
     (left,) = made.begin_frame(HEAD, {"left": seen["left"]}).values()
     with pytest.raises(BadInputError, match="right eye has no camera in this frame; name its viewpoint"):
@@ -141,9 +141,7 @@ def test_one_eye_may_be_begun_submitted_and_composed_alone(
             made.compose(eyes=eyes)
 
 
-def test_eyes_at_different_rates_each_show_their_newest_picture(
-    both: tuple[Compositor, SceneSource, dict[str, FloatArray]],
-) -> None:
+def test_eyes_at_different_rates_each_show_their_newest_picture(both: Both) -> None:
     made, source, seen = both
     draw(made, source, HEAD, seen)
     expected = made.compose(pose=MOVED).read("left")
@@ -156,9 +154,7 @@ def test_eyes_at_different_rates_each_show_their_newest_picture(
     np.testing.assert_array_equal(made.compose().read("right"), right_alone)
 
 
-def test_an_overwritten_frame_is_refused_and_the_newest_is_not(
-    both: tuple[Compositor, SceneSource, dict[str, FloatArray]],
-) -> None:
+def test_an_overwritten_frame_is_refused_and_the_newest_is_not(both: Both) -> None:
     made, source, seen = both
     draw(made, source, HEAD, seen)
     old = made.compose(with_source=True)

@@ -29,6 +29,13 @@ SIZE_M = 0.3, 0.2
 INSIDE = slice(3, -3), slice(3, -3)
 
 
+@pytest.fixture
+def made(compositor: Make, flat_image_headset: Eye) -> Compositor:
+    """A compositor whose frames are light."""
+    of_light: Compositor = compositor(flat_image_headset, panel=FLOATS)
+    return of_light
+
+
 def behind(made: Compositor, light: float = 0.0) -> None:
     """Submit a picture of one light at 1 m."""
     (camera,) = made.begin_frame(HEAD, viewpoint(made.plan("right").channels[0])).values()
@@ -54,10 +61,8 @@ def exact_places(model: Eye, pose: FloatArray, world_from_quad: FloatArray) -> F
     return np.stack([0.5 + met[..., 0] / SIZE_M[0], 0.5 - met[..., 1] / SIZE_M[1]], axis=-1)
 
 
-def test_an_overlay_takes_no_memory_for_a_depth(
-    compositor: Make, flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made, formats, make = compositor(flat_image_headset), [], moderngl.Context.texture
+def test_an_overlay_takes_no_memory_for_a_depth(made: Compositor, monkeypatch: pytest.MonkeyPatch) -> None:
+    formats, make = [], moderngl.Context.texture
     picture = np.full((30, 50, 4), 99, np.uint8)
 
     def counted(context: moderngl.Context, size: tuple[int, int], components: int, *args: Any, **more: Any) -> Any:
@@ -99,14 +104,16 @@ def composited(
 ) -> NDArray[np.float16]:
     behind(made, light)
     made.submit_overlay(picture, (5.0, 5.0), device_from_quad=at(0, 0, -1), **given)
-    frame = made.compose()
+    return light_inside(made)
+
+
+def light_inside(made: Compositor) -> NDArray[np.float16]:
     pixels = np.empty((*SMALL[::-1], 4), np.float16)
-    frame.read_into(pixels)
+    made.compose().read_into(pixels)
     return pixels[INSIDE]
 
 
-def test_light_is_added_over_what_alpha_lets_through(compositor: Make, flat_image_headset: Eye) -> None:
-    made = compositor(flat_image_headset, panel=FLOATS)
+def test_light_is_added_over_what_alpha_lets_through(made: Compositor) -> None:
     over = np.full((9, 9, 4), (0.5, 0.25, 0.0, 0.25), np.float32)
     expected = [0.5 + 0.75 * 0.4, 0.25 + 0.75 * 0.4, 0.75 * 0.4, 1.0]
     shown = composited(made, 0.4, over, stored_colour=LINEAR)
@@ -117,33 +124,23 @@ def test_light_is_added_over_what_alpha_lets_through(compositor: Make, flat_imag
     np.testing.assert_allclose(shown, np.broadcast_to([0.5029 + rest, rest, 1 + rest, 1], shown.shape), atol=2e-3)
 
 
-def test_overlays_are_composited_in_the_order_of_their_layers(compositor: Make, flat_image_headset: Eye) -> None:
-    made = compositor(flat_image_headset, panel=FLOATS)
+def test_overlays_are_composited_in_the_order_of_their_layers(made: Compositor) -> None:
     behind(made, 0.4)
     colours = np.array([[0.2, 0.0, 0.1, 0.3], [0.0, 0.3, 0.1, 0.6], [0.1, 0.1, 0.0, 0.25], [0.05, 0.0, 0.2, 0.5]])
-    expected, quad = np.array([0.4, 0.4, 0.4, 1.0]), {"device_from_quad": at(0, 0, -1), "stored_colour": LINEAR}
-
-    def shown() -> FloatArray:
-        pixels = np.empty((*SMALL[::-1], 4), np.float16)
-        made.compose().read_into(pixels)
-        return pixels[INSIDE].astype(np.float64)
-
+    quad: dict[str, Any] = {"device_from_quad": at(0, 0, -1), "stored_colour": LINEAR}
     for layer in (2, 0, 3, 1):
         made.submit_overlay(np.full((9, 9, 4), colours[layer], np.float32), (5.0, 5.0), layer=layer, **quad)
-    for colour in colours:
-        expected = colour + (1 - colour[3]) * expected
-    np.testing.assert_allclose(shown(), np.broadcast_to(expected, shown().shape), atol=1e-3)
-    made.submit_overlay(None, layer=3)
-    made.submit_overlay(None, layer=1)
-    expected = np.array([0.4, 0.4, 0.4, 1.0])
-    for colour in colours[[0, 2]]:
-        expected = colour + (1 - colour[3]) * expected
-    np.testing.assert_allclose(shown(), np.broadcast_to(expected, shown().shape), atol=1e-3)
+    for taken_away, left in (((), [0, 1, 2, 3]), ((3, 1), [0, 2])):
+        for layer in taken_away:
+            made.submit_overlay(None, layer=layer)
+        expected = np.array([0.4, 0.4, 0.4, 1.0])
+        for colour in colours[left]:
+            expected = colour + (1 - colour[3]) * expected
+        shown = light_inside(made).astype(np.float64)
+        np.testing.assert_allclose(shown, np.broadcast_to(expected, shown.shape), atol=1e-3)
 
 
-def test_layers_lie_at_their_own_places(compositor: Make, flat_image_headset: Eye) -> None:
-    model = flat_image_headset
-    made = compositor(model, panel=FLOATS)
+def test_layers_lie_at_their_own_places(made: Compositor) -> None:
     behind(made)
     other = at(-0.03, 0.01, -0.6, transforms.rotation_about("y", -0.3))
     alone = []
@@ -159,16 +156,14 @@ def test_layers_lie_at_their_own_places(compositor: Make, flat_image_headset: Ey
     np.testing.assert_allclose(both, alone[1] + (1 - covers) * alone[0], atol=2e-3)
 
 
-def test_fine_stripes_keep_their_light(compositor: Make, flat_image_headset: Eye) -> None:
-    made = compositor(flat_image_headset, panel=FLOATS)
+def test_fine_stripes_keep_their_light(made: Compositor) -> None:
     stripes = np.ones((512, 4096, 4), np.float32)
     stripes[:, ::2, :3] = 0
     shown = composited(made, 0.0, stripes, stored_colour=LINEAR)
     np.testing.assert_allclose(shown[..., :3], 0.5, atol=0.01)
 
 
-def test_textures_arrays_and_rows(compositor: Make, flat_image_headset: Eye) -> None:
-    made = compositor(flat_image_headset, panel=FLOATS)
+def test_textures_arrays_and_rows(made: Any) -> None:
     behind(made)
     made.submit_overlay(places(), SIZE_M, device_from_quad=QUAD, stored_colour=LINEAR)
     expected = made.compose().read()
@@ -196,8 +191,8 @@ def test_a_quad_that_is_seen_from_behind_is_not_shown(made: Compositor) -> None:
         assert not made.compose().read().any()
 
 
-def test_overlays_that_cannot_be_are_refused_and_the_last_stays(compositor: Make, flat_image_headset: Eye) -> None:
-    made, menu = compositor(flat_image_headset), np.zeros((4, 4, 4), np.uint8)
+def test_overlays_that_cannot_be_are_refused_and_the_last_stays(made: Any) -> None:
+    menu = np.zeros((4, 4, 4), np.uint8)
     behind(made)
     made.submit_overlay(places(), SIZE_M, device_from_quad=QUAD, stored_colour=LINEAR)
     expected = made.compose().read()

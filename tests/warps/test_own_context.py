@@ -53,6 +53,13 @@ def engine(gl_context: GlContext) -> Iterator[Engine]:
     made.ctx.release()
 
 
+@pytest.fixture
+def made(gl_context: GlContext, compositor: Make, flat_image_headset: Eye) -> Compositor:
+    """A compositor in a context of its own."""
+    own: Compositor = compositor(flat_image_headset, context=gl_context.backend)
+    return own
+
+
 def grey_frame(compositor: Compositor, mappings: Eye) -> NDArray[np.uint8]:
     """One frame of a grey picture at 1 m; (height, width, 3)."""
     (camera,) = compositor.begin_frame(HEAD, viewpoint(mappings)).values()
@@ -105,10 +112,7 @@ def in_thread(work: Callable[..., Any]) -> BadInputError | NDArray[np.uint8]:
     return told[0]
 
 
-def test_another_thread_composes_the_same_picture(
-    gl_context: GlContext, compositor: Make, flat_image_headset: Eye
-) -> None:
-    made = compositor(flat_image_headset, context=gl_context.backend)
+def test_another_thread_composes_the_same_picture(made: Compositor, flat_image_headset: Eye) -> None:
     source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
 
     def frame() -> NDArray[np.uint8]:
@@ -123,10 +127,9 @@ def test_another_thread_composes_the_same_picture(
 
 
 def test_a_thread_that_does_not_end_its_block_is_told_in_a_sentence(
-    gl_context: GlContext, compositor: Make, flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
+    made: Compositor, flat_image_headset: Eye, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ownership, "_WAIT_S", 0.05)
-    made = compositor(flat_image_headset, context=gl_context.backend)
     with made.context.drawing():
         error = in_thread(lambda: grey_frame(made, flat_image_headset))
     assert isinstance(error, BadInputError)
@@ -134,11 +137,8 @@ def test_a_thread_that_does_not_end_its_block_is_told_in_a_sentence(
     assert (grey_frame(made, flat_image_headset) == 128).all()
 
 
-def test_a_thread_reads_its_own_frames_or_is_told(
-    gl_context: GlContext, compositor: Make, flat_image_headset: Eye
-) -> None:
+def test_a_thread_reads_its_own_frames_or_is_told(made: Compositor, flat_image_headset: Eye) -> None:
     """While another thread composes for another pose."""
-    made = compositor(flat_image_headset, context=gl_context.backend)
     source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
     for camera in made.begin_frame(HEAD, seen).values():
         source.submit(camera)

@@ -2,41 +2,19 @@
 
 import shutil
 import subprocess
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import gl_scenes
-import moderngl
 import numpy as np
 import pytest
-from warps.composing import HEAD, SMALL, Make, planar, scene, viewpoint
+from warps.composing import HEAD, SMALL, Make, planar, programs_compiled, scene, viewpoint
 
 from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.io.atomic_files import resource
 from wlr_render.warp.panel_light import PanelLight
 
-STAGES = {"vertex_shader": "vert", "fragment_shader": "frag"}
+STAGES = {"vertex_shader": "vert", "fragment_shader": "frag", "compute_shader": "comp"}
 MESH_WARP = {"mesh_warp.glsl", "own_warp.glsl"}  # for other programs: test_warp_mesh.py
-
-
-@pytest.fixture
-def sources(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
-    """Texts of the shaders that are compiled from now on, with the stage of each."""
-    compiled: dict[str, str] = {}
-    compile_program, compile_compute_shader = moderngl.Context.program, moderngl.Context.compute_shader
-
-    def program(context: moderngl.Context, **shaders: Any) -> moderngl.Program:
-        compiled.update((text, STAGES[kind]) for kind, text in shaders.items())
-        return compile_program(context, **shaders)
-
-    def compute_shader(context: moderngl.Context, source: str) -> moderngl.ComputeShader:
-        compiled[source] = "comp"
-        return compile_compute_shader(context, source)
-
-    monkeypatch.setattr(moderngl.Context, "program", program)
-    monkeypatch.setattr(moderngl.Context, "compute_shader", compute_shader)
-    return compiled
 
 
 def compose_all_kinds(compositor: Make) -> None:
@@ -58,12 +36,14 @@ def compose_all_kinds(compositor: Make) -> None:
 @pytest.mark.slow
 @pytest.mark.gl
 def test_the_reference_compiler_accepts_every_shader(
-    compositor: Make, sources: Mapping[str, str], tmp_path: Path
+    compositor: Make, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         pytest.skip("glslangValidator is not installed (glslang-tools).")
+    compiled = programs_compiled(monkeypatch)
     compose_all_kinds(compositor)
+    sources = {text: STAGES[kind] for shaders in compiled for kind, text in shaders.items()}
     written = [tmp_path / f"{number}.{stage}" for number, stage in enumerate(sources.values())]
     for path, text in zip(written, sources, strict=True):
         path.write_text(text, encoding="utf-8")
