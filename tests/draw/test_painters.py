@@ -33,7 +33,7 @@ from wlr_render.gl.context import GlContext
 from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult, Status
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.numerics.srgb import decode_srgb, encode_srgb
-from wlr_render.scene.scene import LightSource, Scene
+from wlr_render.scene.scene import Scene
 from wlr_render.scene.shapes import construction
 from wlr_render.warp.ray_map import NEAREST_M, choose_plan, ray_map
 from wlr_render.warp.view import View
@@ -294,31 +294,6 @@ def test_pixels_without_a_ray_show_the_background_and_nothing_else(
     assert 60 < hole.sum() < 100  # a disc of radius 5 px
     np.testing.assert_array_equal(np.isnan(frame.position).any(axis=-1), hole)
     np.testing.assert_array_equal((frame.colour == encode_srgb(np.array(GREEN, np.float32))).all(axis=-1), hole)
-
-
-@raster_ways("traced", "plain")
-def test_moving_head_and_scene_together_changes_nothing(
-    toy_headset: Eye, way: str, painter_of: Callable[..., Any]
-) -> None:
-    viewpoint = toy_headset.eye_box.at(OFF_CENTRE)
-    moved = at(-0.4, 0.2, 0.7, transforms.rotation_about("z", 0.6) @ transforms.rotation_about("x", 0.3))
-    scene = ball_before_wall()
-    instances = tuple(replace(i, world_from_mesh=moved @ i.world_from_mesh) for i in scene.instances)
-    lights = tuple(_moved(light, moved) for light in scene.lights)
-    frames = [
-        painter_of(way, toy_headset, each).paint(viewpoint, pose, with_geometry=True)
-        for each, pose in ((scene, HEAD_POSE), (replace(scene, instances=instances, lights=lights), moved @ HEAD_POSE))
-    ]
-    settled = off_edges(frames[0].position)
-    carried = transforms.apply(moved, frames[0].position.astype(float))
-    np.testing.assert_allclose(frames[1].position[settled], carried[settled], atol=2e-5)
-    difference = np.abs(frames[1].colour.astype(int) - frames[0].colour)[settled]
-    assert (difference > 1).mean() < 1e-3
-
-
-def _moved(light: LightSource, moved: FloatArray) -> LightSource:
-    vector = moved[:3, :3] @ light.vector + (moved[:3, 3] if light.kind == "point" else 0)
-    return replace(light, vector=vector)
 
 
 def test_an_edge_is_supersampled_in_linear_light_and_geometry_stays_the_centres(toy_headset: Eye) -> None:

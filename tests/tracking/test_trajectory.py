@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry import directions, transforms
+from wlr_render.geometry import directions
 from wlr_render.tracking.eye_model import RotatingEye
 from wlr_render.tracking.trajectory import EyeTrajectory, GazeTrack, HeadTrajectory, ViewpointTrack
 
@@ -41,18 +41,6 @@ def test_the_head_agrees_with_scipy_between_its_samples(head: HeadTrajectory, le
     for axis in range(3):
         expected = np.interp(moment, head.time_s, head.position_in_world[:, axis])
         np.testing.assert_allclose(pose[..., axis, 3], expected, atol=1e-14)
-
-
-def test_a_head_turning_evenly_turns_evenly_in_between() -> None:
-    xyzw = Rotation.from_rotvec([[0, 0, 0], [0, 1.2, 0]]).as_quat()
-    head = HeadTrajectory(np.array([0.0, 3.0]), np.zeros((2, 3)), xyzw)
-    angle = Rotation.from_matrix(head.at(np.linspace(0, 3, 13))[:, :3, :3]).as_rotvec()[:, 1]
-    np.testing.assert_allclose(np.diff(angle), 0.1, atol=1e-12)
-
-
-def test_the_head_pose_carries_the_device_origin_to_its_position() -> None:
-    head = HeadTrajectory(np.array([0.0, 1.0]), np.array([[0, 1, 0], [2, 1, 0.0]]), np.tile([0, 0, 0, 1.0], (2, 1)))
-    np.testing.assert_allclose(transforms.apply(head.at(0.25), np.zeros(3)), [0.5, 1, 0], atol=1e-15)
 
 
 @pytest.mark.parametrize("interval_s", [0.002, 0.011, 0.5])

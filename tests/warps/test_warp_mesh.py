@@ -1,4 +1,3 @@
-import json
 import runpy
 import shutil
 import subprocess
@@ -9,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import needs_browser, open_page
 from flat_image import PrismPlate
 from present import narrowed
 from warps.composing import HEAD, planar
@@ -318,35 +316,6 @@ def test_the_warp_compiles_for_each_language(stage_name: str, tmp_path: Path) ->
     for language in (["--msl"], ["--hlsl", "--shader-model", "50"], ["--es", "--version", "310"], ["--version", "410"]):
         translated = subprocess.run(["spirv-cross", compiled, *language], capture_output=True, text=True)
         assert translated.returncode == 0, translated.stderr
-
-
-PAGE = """<body><script>
-const gl = document.createElement("canvas").getContext("webgl2"), said = [gl ? "WebGL 2" : "no WebGL 2"];
-for (const texts of gl ? TEXTS : []) {
-  const program = gl.createProgram();
-  texts.forEach((text, k) => {
-    const shader = gl.createShader(k ? gl.FRAGMENT_SHADER : gl.VERTEX_SHADER);
-    gl.shaderSource(shader, text);
-    gl.compileShader(shader);
-    said.push(gl.getShaderInfoLog(shader));
-    gl.attachShader(program, shader);
-  });
-  gl.linkProgram(program);
-  said.push(gl.getProgramParameter(program, gl.LINK_STATUS) ? "linked" : gl.getProgramInfoLog(program));
-}
-document.body.textContent = said.join(" ");
-</script></body>"""
-
-
-@needs_browser
-def test_a_browser_links_the_warp_in_webgl_2(tmp_path: Path) -> None:
-    texts = [[stage(f"{of}{kind}", "300 es") for kind in ("VERTEX", "FRAGMENT")] for of in ("TILES_", "")]
-    page = tmp_path / "page.html"
-    page.write_text(PAGE.replace("TEXTS", json.dumps(texts)), encoding="utf-8")
-    dom = open_page(page, tmp_path).dom
-    if "no WebGL 2" in dom:
-        pytest.skip("the browser has no WebGL 2.")
-    assert dom.split("<body>")[1].split("</body>")[0].split() == ["WebGL", "2", "linked", "linked"]
 
 
 def test_the_warp_for_others_is_the_kernel() -> None:
