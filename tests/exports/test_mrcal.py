@@ -32,10 +32,7 @@ def rms(difference: FloatArray) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("device", "axes", "camera", "depth_m"),
-    [
-        ("freeform40", "device", "viewpoint", None),
-        ("birdbath28", "field", "nearest", 0.5),
-    ],
+    [("freeform40", "device", "viewpoint", None), ("birdbath28", "field", "nearest", 0.5)],
 )
 def test_mrcal_projects_points_to_the_pixels_that_show_them(
     device: str, axes: Literal["field", "device"], camera: RasterPlace, depth_m: float | None, tmp_path: Path

@@ -247,11 +247,7 @@ def test_other_eye_is_mirrored(tmp_path: Path) -> None:
             "v_axis = [0, 0, -1]\ncurvature_per_m = [1]",
             "'curvature_per_m' must be a list of 2",
         ),
-        (
-            _RAISED[0],
-            _RAISED[1].replace("bump", "cone"),
-            "'shape' is 'cone'; it must be one of anamorphic",
-        ),
+        (_RAISED[0], _RAISED[1].replace("bump", "cone"), "'shape' is 'cone'; it must be one of anamorphic"),
         (
             _RAISED[0],
             _RAISED[1].replace("width_mm = 4", "width_mm = 0"),

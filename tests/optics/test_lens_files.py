@@ -168,11 +168,7 @@ X, Y = np.array([0.004]), np.array([-0.003])
         ),
         ("TYPE BICONICX\n CURV 0.02\n CONI -1\n PARM 1 0", AnamorphicAsphere, 0.02 * 9 / 2),
         ("TYPE TOROIDAL\n CURV 0.02\n CONI -1\n PARM 1 0", SumOfProfiles, 0.02 * 9 / 2),
-        (
-            "TYPE TOROIDAL\n CURV 0.02\n PARM 1 40",
-            Toroid,
-            40 - np.sqrt((40 - (50 - np.sqrt(2500 - 9))) ** 2 - 16),
-        ),
+        ("TYPE TOROIDAL\n CURV 0.02\n PARM 1 40", Toroid, 40 - np.sqrt((40 - (50 - np.sqrt(2500 - 9))) ** 2 - 16)),
         # x, y, x2, xy, y2 of coordinates over 10 mm
         (
             "TYPE XPOLYNOM\n CURV 0.0\n XDAT 1 5\n XDAT 2 10\n XDAT 3 0.1\n XDAT 4 0.2\n XDAT 5 0.3\n XDAT 6 0.4\n"

@@ -77,11 +77,6 @@ def test_an_obj_in_utf_16_is_refused(tmp_path: Path) -> None:
         load_meshes(tmp_path / "model.obj")
 
 
-def test_negative_indices_count_from_the_line_they_stand_in(tmp_path: Path) -> None:
-    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 0 0 1\nv 1 0 1\nv 0 1 1\nf -3 -2 -1\n"
-    assert faces_of(only(obj(tmp_path, text)))[0] == ((0, 0, 0), (1, 0, 0), (0, 1, 0))
-
-
 def test_corners_with_and_without_texture_coordinates_may_mix(tmp_path: Path) -> None:
     path = obj(tmp_path, TRIANGLE + "v 1 1 0\nvn 0 0 -1\n" + FACE + "f 2//1 4//1 3//1\n")
     mesh = only(path)
@@ -446,11 +441,6 @@ def test_a_ply_without_faces_names_what_it_has(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"end_header", edges) + b"0 1\n")
     with pytest.raises(BadInputError, match=r"house.ply: holds no triangles \(not drawn: edges\); export it again"):
         load_meshes(path)
-
-
-def test_a_ply_of_points_alone_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match=r"house.ply: holds no triangles; export it again with faces"):
-        load_meshes(ply(tmp_path, faces=[]))
 
 
 SOLID = """solid {name}

@@ -164,24 +164,6 @@ def test_an_eye_never_seen_is_at_the_nominal_viewpoint_and_one_seen_too_briefly_
     np.testing.assert_array_equal(viewpoint_filter.update(5.0, None).viewpoint, glimpse)
 
 
-def test_two_eyes_do_not_know_of_each_other() -> None:
-    rng = np.random.default_rng(3)
-    streams = [
-        [(0.01 * k, None if rng.random() < 0.3 else NOMINAL + rng.uniform(-0.01, 0.01, 3)) for k in range(200)]
-        for _ in range(2)
-    ]
-    alone = []
-    for stream in streams:
-        single = new_filter()
-        alone.append([single.update(*sample).viewpoint for sample in stream])
-    pair = new_filter(), new_filter()
-    together = [
-        [eye.update(*sample).viewpoint for eye, sample in zip(pair, both, strict=True)]
-        for both in zip(*streams, strict=True)
-    ]
-    np.testing.assert_array_equal(np.swapaxes(together, 0, 1), alone)
-
-
 def test_what_the_caller_does_to_its_arrays_does_not_reach_the_filter() -> None:
     viewpoint_filter, sample = new_filter(), NOMINAL.copy()
     first = viewpoint_filter.update(0.0, sample)

@@ -152,11 +152,7 @@ def test_each_colour_is_what_its_own_models_rays_meet(compositor: Make, flat_ima
     colours = [
         replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.02, 0.0, 0.02)
     ]
-    together, renderer, at = (
-        compositor({"right": colours}),
-        RayRenderer(scene()),
-        viewpoint(colours[0]),
-    )
+    together, renderer, at = (compositor({"right": colours}), RayRenderer(scene()), viewpoint(colours[0]))
     (camera,) = draw(together, SceneSource(together, scene()), HEAD, at).values()
     picture = together.compose().read().astype(int)
     for channel, model in enumerate(colours):

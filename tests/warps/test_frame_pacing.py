@@ -92,10 +92,6 @@ def test_poses_are_predicted_as_far_as_a_compositor_does() -> None:
 
 
 def test_bad_numbers_are_refused() -> None:
-    for arguments, words in (
-        ((0.0,), "period_s"),
-        ((float("nan"),), "period_s"),
-        ((0.01, 0.02), "margin_s"),
-    ):
+    for arguments, words in (((0.0,), "period_s"), ((float("nan"),), "period_s"), ((0.01, 0.02), "margin_s")):
         with pytest.raises(BadInputError, match=words):
             FramePacer(*arguments)
