@@ -36,7 +36,6 @@ from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import (
-    Family,
     PhotoBench,
     PhotoBenchOptions,
     design_photo_bench,
@@ -213,10 +212,10 @@ def with_stated_lenses(session: PhotoSession) -> PhotoSession:
     return replace(session, **stated)
 
 
-def made_session(folder: Path, family: Family = "polynomial") -> tuple[SmallSession, SessionCalibration, Report]:
+def made_session(folder: Path) -> tuple[SmallSession, SessionCalibration, Report]:
     """Simulate the session, calibrate it and write the report; returns all three."""
     folder.mkdir()
-    bench = PhotoBenchOptions(camera_px=CAMERA_PX, imperfections=IMPERFECTIONS, family=family)
+    bench = PhotoBenchOptions(camera_px=CAMERA_PX, imperfections=IMPERFECTIONS)
     made = SimulationRecipe(far_panel_device(folder), viewpoints=VIEWPOINTS, bench=bench)
     session = SmallSession(folder / "session", folder / "out", made)
     with pytest.MonkeyPatch.context() as patch:

@@ -52,32 +52,41 @@ def test_readings_scatter_by_their_noise_about_the_true_projections(simulated: S
         assert np.nanmedian(samples.scale / wide) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.slow  # renders 50 photographs
-def test_photographs_of_the_same_bench_show_the_same(
-    simulated: SimulatedReadings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(take_photographs, "CameraView", CoarseView)
-    truth = simulated.truth
-    plan = plan_photographs(truth.bench, RECIPE.viewpoints)
-    visits = true_camera_poses(truth.bench, plan)
-    of_photographs = simulate_readings(RECIPE, folder=tmp_path)
-    session = of_photographs.session
-    wanted = {session.folder / name for name in ("see_through/pose1_02.png", "bare/pose0_07.png")}
-    wanted |= {session.tracking[1].path, present(session.tracking_camera).intrinsics[4]}
-    for pose in camera_poses(session, truth.bench, plan, visits):
+def photographed(recipe: SimulationRecipe, folder: Path, *names: str) -> SimulatedReadings:
+    """Simulate readings, and render the photographs of that session with these names."""
+    made = simulate_readings(recipe, folder=folder)
+    plan, wanted = plan_photographs(made.truth.bench, recipe.viewpoints), {made.session.folder / name for name in names}
+    for pose in camera_poses(made.session, made.truth.bench, plan, true_camera_poses(made.truth.bench, plan)):
         boards = [each for each in pose.boards if each.path in wanted]
-        panels = [each for each in pose.panels if each.folder == session.display[1].folder]
+        panels = [each for each in pose.panels if each.folder in wanted]
         if boards or panels:
             take(replace(pose, boards=boards, panels=panels))
-    for path in wanted:
-        found, said = session.board.find(read_photograph(path)), of_photographs.reading.boards[path]
+    return made
+
+
+@pytest.mark.slow
+def test_photographs_of_boards_in_a_workshop_show_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its boards and lenses have more than those of polynomials, of which whole sessions are made."""
+    monkeypatch.setattr(take_photographs, "CameraView", CoarseView)
+    recipe = replace(RECIPE, bench=replace(RECIPE.bench, family="workshop"))
+    names = "see_through/pose1_02.png", "bare/pose0_07.png", "tracking/pose0_after.png", "intrinsics/tracking/04.png"
+    made = photographed(recipe, tmp_path, *names)
+    for name in names:
+        path = made.session.folder / name
+        found, said = made.session.board.find(read_photograph(path)), made.reading.boards[path]
         places = {tuple(index): pixel for index, pixel in zip(said.index, said.pixel, strict=True)}
         both = [tuple(index) in places for index in found.index]
         off = found.pixel[both] - [places[tuple(index)] for index in found.index[both]]
         assert len(off) > 0.6 * len(said)
         assert rms(off) < 0.05, path
         assert np.all(np.abs(off.mean(axis=0)) < 0.01), path
-    folder = session.display[1].folder
+
+
+@pytest.mark.slow  # renders 46 photographs
+def test_photographs_of_the_panel_show_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(take_photographs, "CameraView", CoarseView)
+    made = photographed(RECIPE, tmp_path, "display/01")
+    truth, session, folder = made.truth, made.session, made.session.display[1].folder
     decoded = sample(session.pattern.decode(read_each(sorted(folder.iterdir())), session.decoding))
     exact = panel_position(truth.bench.optics, truth.bench.eyeball.camera, truth.display[1], decoded.camera_pixel).value
     off = (decoded.panel_pixel - exact)[np.isfinite(exact).all(axis=-1)]
