@@ -124,23 +124,6 @@ def test_noise_is_larger_by_its_factor() -> None:
     assert ratio == pytest.approx(1.1, rel=0.01)
 
 
-def test_noise_rises_to_the_rim() -> None:
-    gap, ideal = dots(BenchNature(rim_factor=2.0), PLAN)
-    radius = np.hypot(ideal["camera_u"] - 640.0, ideal["camera_v"] - 512.0) / np.hypot(640.0, 512.0)
-    for low, high in ((0.0, 0.3), (0.3, 0.6), (0.6, 0.9)):
-        rows = (radius > low) & (radius < high)
-        expected = np.sqrt(np.mean((1.0 + radius[rows] ** 2) ** 2))
-        assert sigma(gap[rows]) == pytest.approx(0.1 * expected, rel=0.06)
-    assert sigma(gap[radius > 0.6]) > 1.3 * sigma(gap[radius < 0.3])
-    seen = observe(PLAN, [], np.random.default_rng(1), PERFECT).display[: 12 * 9]
-    radius = np.hypot(seen["camera_u"] - 640.0, seen["camera_v"] - 512.0) / np.hypot(640.0, 512.0)
-    ratio = display(BenchNature(rim_factor=2.0)) / display(PERFECT)
-    decoded = np.isfinite(ratio).any(axis=(0, 2))
-    assert np.ptp(radius[decoded]) > 0.3
-    found = np.nanmedian(ratio[:, decoded], axis=(0, 2))
-    np.testing.assert_allclose(found, 1.0 + radius[decoded] ** 2, rtol=0.02)
-
-
 def test_a_share_of_the_captures_is_noisier() -> None:
     for gap in (dots(BenchNature(noisy_share=1 / 3, noisy_factor=2.5), PLAN)[0],
                 dots(BenchNature(noisy_share=1 / 3, noisy_factor=2.5), PLAN, 2)[0]):  # fmt: skip
@@ -153,24 +136,6 @@ def test_a_share_of_the_captures_is_noisier() -> None:
     by_capture = np.nanmedian(ratio, axis=(1, 2))
     assert np.sum(by_capture > 1.5) == 16
     np.testing.assert_allclose(np.sort(by_capture), [1.0] * 32 + [2.5] * 16, rtol=0.02)
-
-
-def test_neighbours_share_noise_and_its_size_stays() -> None:
-    gap, _ = dots(BenchNature(shared=0.5), PLAN)
-    assert sigma(gap) == pytest.approx(0.1, rel=0.1)
-    on_grid = gap.reshape(len(gap), 6, 9, 2)
-    for apart in (1, 2, 4):
-        # exp(-(distance / 2 spacings)^2 / 2), of half of the variance
-        found = np.nanmean(on_grid[:, :, apart:] * on_grid[:, :, :-apart]) / 0.01
-        assert found == pytest.approx(0.5 * np.exp(-(apart**2) / 8), abs=0.08)
-    between = np.nanmean(on_grid[1:] * on_grid[:-1]) / 0.01
-    assert abs(between) < 0.06
-    assert abs(np.nanmean(on_grid[..., 0] * on_grid[..., 1]) / 0.01) < 0.08
-    of_display = display(BenchNature(shared=0.5)).reshape(-1, 9, 12, 2)
-    white = display(PERFECT).reshape(-1, 9, 12, 2)
-    product = [np.nanmean(each[:, :, 1:] * each[:, :, :-1]) / np.nanmean(each**2) for each in (of_display, white)]
-    assert product[0] == pytest.approx(0.5 * np.exp(-1 / 8), abs=0.12)
-    assert abs(product[1]) < 0.05
 
 
 def test_each_colour_is_a_photograph_with_a_field_of_its_own() -> None:
