@@ -18,11 +18,13 @@ from wlr_render.simulation import viewpoints
 from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
+BothCaptures = tuple[DisplayCaptures, SeeThroughCaptures]
+
 one_device = pytest.mark.parametrize("captures", ["northstar"], indirect=True)
 
 
 @pytest.fixture(scope="module", params=["northstar", "freeform40"])
-def captures(request: pytest.FixtureRequest) -> tuple[DisplayCaptures, SeeThroughCaptures]:
+def captures(request: pytest.FixtureRequest) -> BothCaptures:
     truth = traced_eye(load_device(request.param), "right")
     setup = CaptureSetup(truth, 0.1, grid=(10, 8))
     places = viewpoints.planar(truth.eye_box, setup.field.reach, 25)
@@ -40,14 +42,14 @@ def photographs(see_through: SeeThroughCaptures) -> IntArray:
     return see_through.target_pose * 100 + see_through.capture
 
 
-def test_sound_captures_are_left_alone(captures: tuple[DisplayCaptures, SeeThroughCaptures]) -> None:
+def test_sound_captures_are_left_alone(captures: BothCaptures) -> None:
     display, see_through = captures
     assert outliers(display, display.capture, fit_display) == {}
     assert outliers(see_through, photographs(see_through), fit_see_through) == {}
 
 
 @one_device
-def test_exchanged_sets_of_the_panel_are_both_named(captures: tuple[DisplayCaptures, SeeThroughCaptures]) -> None:
+def test_exchanged_sets_of_the_panel_are_both_named(captures: BothCaptures) -> None:
     display, _ = captures
     first, second = display.capture == 3, display.capture == 9
     viewpoint = display.viewpoint.copy()
@@ -56,9 +58,7 @@ def test_exchanged_sets_of_the_panel_are_both_named(captures: tuple[DisplayCaptu
 
 
 @one_device
-def test_a_photograph_from_elsewhere_is_named_with_its_size(
-    captures: tuple[DisplayCaptures, SeeThroughCaptures],
-) -> None:
+def test_a_photograph_from_elsewhere_is_named_with_its_size(captures: BothCaptures) -> None:
     _, see_through = captures
     number = photographs(see_through)
     # 2 mm to the right are 17' at 0.4 m, where the first target stands.
@@ -67,7 +67,7 @@ def test_a_photograph_from_elsewhere_is_named_with_its_size(
 
 
 @pytest.mark.parametrize("places", [4, 13, 15])
-def test_few_places_raise_no_false_alarm(captures: tuple[DisplayCaptures, SeeThroughCaptures], places: int) -> None:
+def test_few_places_raise_no_false_alarm(captures: BothCaptures, places: int) -> None:
     """A model with hardly more places than terms predicts the outermost of them badly."""
     display, _ = captures
     few = select(display, display.capture < places)
@@ -75,7 +75,7 @@ def test_few_places_raise_no_false_alarm(captures: tuple[DisplayCaptures, SeeThr
 
 
 @one_device
-def test_where_all_disagree_few_or_none_are_named(captures: tuple[DisplayCaptures, SeeThroughCaptures]) -> None:
+def test_where_all_disagree_few_or_none_are_named(captures: BothCaptures) -> None:
     display, _ = captures
     rng = np.random.default_rng(2)
     shift = rng.normal(0, 0.005, (25, 3))[display.capture]

@@ -23,6 +23,10 @@ from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
+Simulated = tuple[Any, Any, Calibration]
+
+Tested = tuple[Any, Any, Any, Any]
+
 SOURCES = ("stage", "stage", "targets")
 OFFSET_MM = np.array([0.0, 0.1, 0.2])
 
@@ -63,14 +67,14 @@ def off_by(captures: Captures, variables: NDArray[Any]) -> Captures:
 
 
 @pytest.fixture(scope="module")
-def session() -> tuple[Any, Any, Calibration]:
+def session() -> Simulated:
     truth, captures = simulated()
     captures = with_common(captures)
     return truth, captures, calibrate(captures)
 
 
 @pytest.fixture(scope="module")
-def tested(session: tuple[Any, Any, Calibration]) -> tuple[Any, Any, Any, Any]:
+def tested(session: Simulated) -> Tested:
     """Pixels, viewpoints in the middle of the eye box, and real points that are seen there in truth."""
     truth, _, _ = session
     rng = np.random.default_rng(5)
@@ -88,7 +92,7 @@ def rms(values: FloatArray) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("values", [(1.0, 1.0, 0.0), (0.0, 0.0, 1.0)], ids=["stage", "targets"])
 def test_shared_deviation_is_the_change_of_a_fit_to_captures_that_are_off(
-    session: tuple[Any, Any, Calibration], tested: tuple[Any, Any, Any, Any], values: tuple[float, float, float]
+    session: Simulated, tested: Tested, values: tuple[float, float, float]
 ) -> None:
     _, captures, fit = session
     pixel, viewpoint, point, _ = tested
@@ -104,7 +108,7 @@ def test_shared_deviation_is_the_change_of_a_fit_to_captures_that_are_off(
         assert rms(found - expected) < 0.03 + 0.05 * rms(expected), (side, rms(expected))
 
 
-def test_viewpoints_that_are_off_are_predicted(tested: tuple[Any, Any, Any, Any]) -> None:
+def test_viewpoints_that_are_off_are_predicted(tested: Tested) -> None:
     """Offsets of one sigma in y and z: no residual shows them, and the prediction follows the truth."""
     pixel, viewpoint, _, seen = tested
     _, exact = simulated(places=25)
@@ -119,9 +123,7 @@ def test_viewpoints_that_are_off_are_predicted(tested: tuple[Any, Any, Any, Any]
     assert np.sqrt(np.mean(white**2)) < 0.5 * size
 
 
-def test_mean_and_noise_do_not_depend_on_stated_common_errors(
-    session: tuple[Any, Any, Calibration], tested: object
-) -> None:
+def test_mean_and_noise_do_not_depend_on_stated_common_errors(session: Simulated, tested: object) -> None:
     """A fit cannot see what all captures share."""
     _, _, fit = session
     other = calibrate(simulated()[1])
@@ -133,7 +135,7 @@ def test_mean_and_noise_do_not_depend_on_stated_common_errors(
         assert one.report.predicted_arcmin > two.report.predicted_arcmin
 
 
-def test_registration_by_source(session: tuple[Any, Any, Calibration], tested: tuple[Any, Any, Any, Any]) -> None:
+def test_registration_by_source(session: Simulated, tested: Tested) -> None:
     """Targets that are off by 1 mm move the see-through of points at 1.5 m, not the display."""
     _, _, fit = session
     pixel, viewpoint, point, _ = tested

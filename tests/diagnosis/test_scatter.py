@@ -27,9 +27,11 @@ from wlr_render.numerics.scatter_search import (
     with_moved_captures,
 )
 
+Drawn = tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray]
+
 
 @pytest.fixture(scope="module")
-def drawn() -> tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray]:
+def drawn() -> Drawn:
     """Readings of five captures in two parts, one of which moved, and what follows from them by dense matrices."""
     rng = np.random.default_rng(1)
     group = rng.permutation(np.repeat(np.arange(5), 9))
@@ -56,9 +58,7 @@ def density(y: FloatArray, variance: FloatArray) -> float:
     return float(y @ np.linalg.solve(variance, y) + np.linalg.slogdet(variance)[1])
 
 
-def test_motions_are_integrated_out_exactly(
-    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
-) -> None:
+def test_motions_are_integrated_out_exactly(drawn: Drawn) -> None:
     sums, scatter, y, columns, variance = drawn
     found = marginal(sums, scatter)
     assert found.minus_two_log == pytest.approx(density(y, variance), rel=1e-9)
@@ -66,9 +66,7 @@ def test_motions_are_integrated_out_exactly(
     np.testing.assert_allclose(found.gradient, columns.T @ np.linalg.solve(variance, y), rtol=1e-8, atol=1e-9)
 
 
-def test_values_are_integrated_out_over_their_priors_exactly(
-    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
-) -> None:
+def test_values_are_integrated_out_over_their_priors_exactly(drawn: Drawn) -> None:
     sums, scatter, y, columns, variance = drawn
     mean, sigma = np.array([0.4, -1.0, 0.2]), np.array([0.3, 1.0, 2.0])
     expected = density(y - columns @ mean, variance + (columns * sigma**2) @ columns.T)
@@ -79,18 +77,14 @@ def test_values_are_integrated_out_over_their_priors_exactly(
     assert some.minus_two_log_evidence == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_most_probable_motions_are_those_of_linear_regression(
-    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
-) -> None:
+def test_the_most_probable_motions_are_those_of_linear_regression(drawn: Drawn) -> None:
     sums, scatter, *_ = drawn
     size = np.repeat([20.0, 60.0], 3) / 1.3  # over the noise of the part
     expected = np.linalg.solve(sums.ee[0] + np.diag(size**-2.0), sums.ey[0])
     np.testing.assert_allclose(motions_of(sums, scatter)[0], expected, rtol=1e-8)
 
 
-def test_carried_effects_are_one_more_random_error_of_all_readings(
-    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
-) -> None:
+def test_carried_effects_are_one_more_random_error_of_all_readings(drawn: Drawn) -> None:
     sums, scatter, y, columns, variance = drawn
     size = np.array([0.3, 2.0])
     carried = replace(sums, mean=np.array([0.4, 0.0, 0.0]), sigma=np.r_[1.0, size], carried=2)
@@ -104,9 +98,7 @@ def test_carried_effects_are_one_more_random_error_of_all_readings(
     assert cost(carried, scatter) == pytest.approx(evidence, rel=1e-9)
 
 
-def test_slopes_of_the_evidence_are_its_derivatives(
-    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
-) -> None:
+def test_slopes_of_the_evidence_are_its_derivatives(drawn: Drawn) -> None:
     sums, scatter, *_ = drawn
     step, priors = 1e-5, {"mean": np.array([0.4, -0.1, 0.0]), "sigma": np.array([1.0, 1.0, 2.0])}
     sums = replace(sums, **priors, carried=1)
@@ -118,9 +110,7 @@ def test_slopes_of_the_evidence_are_its_derivatives(
         assert slopes.ravel()[number] == pytest.approx(difference / (2 * step), rel=1e-5, abs=1e-5)
 
 
-def test_the_best_sizes_have_the_highest_evidence(
-    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
-) -> None:
+def test_the_best_sizes_have_the_highest_evidence(drawn: Drawn) -> None:
     sums, scatter, *_ = drawn
     best, cost = best_scatter(sums, scatter)
     assert cost == pytest.approx(marginal(sums, best).minus_two_log_evidence + surprise(best, sums))
@@ -135,9 +125,7 @@ def test_the_best_sizes_have_the_highest_evidence(
     np.testing.assert_array_equal(best.moved, scatter.moved)
 
 
-def test_usual_sizes_are_no_surprise_and_a_moved_capture_costs_its_odds(
-    drawn: tuple[ScatterSums, Scatter, FloatArray, FloatArray, FloatArray],
-) -> None:
+def test_usual_sizes_are_no_surprise_and_a_moved_capture_costs_its_odds(drawn: Drawn) -> None:
     sums, scatter, *_ = drawn
     usual = replace(Scatter.usual(5), shift_um=np.full(3, 8.0), turn_urad=np.full(3, 25.0))
     assert surprise(usual, sums) == 0.0

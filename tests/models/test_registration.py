@@ -17,6 +17,8 @@ from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
+Models = tuple[DisplayModel, SeeThroughModel]
+
 SOURCES = ("lens", "lens", "stage")
 PIXEL = np.array([[500.0, 400.0], [850.0, 120.0]])
 VIEWPOINT = EYE_BOX.centre + [[0.002, -0.001, 0.001], [0.0, 0.003, -0.002]]
@@ -37,7 +39,7 @@ def with_spread(mapping: Fitted, name: str, sources: tuple[str, ...] = SOURCES) 
 
 
 @pytest.fixture(scope="module")
-def models() -> tuple[DisplayModel, SeeThroughModel]:
+def models() -> Models:
     return with_spread(bundle_display(), "forward"), with_spread(bundle_see_through(), "deviation")
 
 
@@ -58,7 +60,7 @@ def registration(display: DisplayModel, see_through: SeeThroughModel) -> FloatAr
 
 
 @pytest.fixture(scope="module")
-def changes_of_models(models: tuple[DisplayModel, SeeThroughModel]) -> FloatArray:
+def changes_of_models(models: Models) -> FloatArray:
     """(9, 2, 2) change of the registration error by each variable of both models, right and up, arcminutes."""
     display, see_through = models
     axes = right_and_up(display.view_dir_of_pixel(PIXEL, VIEWPOINT).value)
@@ -71,9 +73,7 @@ def changes_of_models(models: tuple[DisplayModel, SeeThroughModel]) -> FloatArra
     return np.array([0.5 * (error(one) - error(-one)) for one in np.eye(9)])
 
 
-def test_covariance_is_that_of_the_changes_by_every_variable(
-    models: tuple[DisplayModel, SeeThroughModel], changes_of_models: FloatArray
-) -> None:
+def test_covariance_is_that_of_the_changes_by_every_variable(models: Models, changes_of_models: FloatArray) -> None:
     found = model_registration_covariance(*models, PIXEL, VIEWPOINT, POINT)
     assert list(found) == [UNSHARED, "lens", "stage"]
     total = np.sum([*found.values()], axis=0)
@@ -84,7 +84,7 @@ def test_covariance_is_that_of_the_changes_by_every_variable(
 
 
 def test_changes_by_the_variables_are_the_covariance_between_places_too(
-    models: tuple[DisplayModel, SeeThroughModel], changes_of_models: FloatArray
+    models: Models, changes_of_models: FloatArray
 ) -> None:
     changes = registration_changes(*models, PIXEL, VIEWPOINT, POINT)
     joint = changes.reshape(4, -1) @ changes.reshape(4, -1).T
@@ -96,7 +96,7 @@ def test_changes_by_the_variables_are_the_covariance_between_places_too(
     np.testing.assert_allclose(change.T @ change / size, joint / size, atol=1e-4)
 
 
-def test_what_both_share_alike_cancels(models: tuple[DisplayModel, SeeThroughModel]) -> None:
+def test_what_both_share_alike_cancels(models: Models) -> None:
     """Two displays of the same place would be displaced alike: only what each has alone remains."""
     display, see_through = models
     alone = model_registration_covariance(display, see_through, PIXEL, VIEWPOINT, POINT)
@@ -119,7 +119,7 @@ def test_what_both_share_alike_cancels(models: tuple[DisplayModel, SeeThroughMod
     assert np.all(own < shown)  # sigma has the shared part, too
 
 
-def test_broadcasts_and_marks_what_is_not_answered(models: tuple[DisplayModel, SeeThroughModel]) -> None:
+def test_broadcasts_and_marks_what_is_not_answered(models: Models) -> None:
     grid = model_registration_covariance(*models, PIXEL[:, None], VIEWPOINT, POINT)
     assert grid[UNSHARED].shape == (2, 2, 2, 2)
     single = model_registration_covariance(*models, PIXEL[1], VIEWPOINT[1], POINT[1])
@@ -129,7 +129,7 @@ def test_broadcasts_and_marks_what_is_not_answered(models: tuple[DisplayModel, S
     assert np.isnan(behind["stage"]).all()
 
 
-def test_models_of_two_fits_are_refused(models: tuple[DisplayModel, SeeThroughModel]) -> None:
+def test_models_of_two_fits_are_refused(models: Models) -> None:
     other = with_spread(bundle_see_through(), "deviation", ("prescription",))
     with pytest.raises(BadInputError, match="take both from one eye of one model file"):
         model_registration_covariance(models[0], other, PIXEL, VIEWPOINT, POINT)

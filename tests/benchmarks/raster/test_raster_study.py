@@ -12,6 +12,8 @@ from wlr_render.gl.context import GlContext
 from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.scene.image_files import read_map, read_png
 
+Compared = tuple[Report, Path]
+
 
 @pytest.fixture(scope="module")
 def headset(tmp_path_factory: pytest.TempPathFactory) -> str:
@@ -21,7 +23,7 @@ def headset(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.fixture(scope="module")
 def comparison(
     opened_gl_context: GlContext, tmp_path_factory: pytest.TempPathFactory, headset: str, scene_file: str
-) -> tuple[Report, Path]:
+) -> Compared:
     """A bent headset off the centre of its eye box, before a ball that hides a part of a wall."""
     folder = tmp_path_factory.mktemp("compare")
     options = RasterOptions(headset, scene_file, viewpoint_offset_mm=(3.0, -2.0, 1.0), out=folder)
@@ -35,7 +37,7 @@ def rows_by_method(table: ReportTable) -> dict[str, dict[str, float]]:
     }
 
 
-def test_each_method_of_rasterising_has_its_figures(comparison: tuple[Report, Path]) -> None:
+def test_each_method_of_rasterising_has_its_figures(comparison: Compared) -> None:
     rows = rows_by_method(comparison[0].tables[0])
     plain, double, mesh = rows["raster + warp"], rows["twice the raster resolution"], rows["map from the mesh"]
     assert 0 < plain["median (arcmin)"] < 0.01
@@ -51,7 +53,7 @@ def test_each_method_of_rasterising_has_its_figures(comparison: tuple[Report, Pa
     assert paper["colour difference (8 bit)"] != mesh["colour difference (8 bit)"]
 
 
-def test_the_error_map_and_the_frames_are_what_the_table_summarises(comparison: tuple[Report, Path]) -> None:
+def test_the_error_map_and_the_frames_are_what_the_table_summarises(comparison: Compared) -> None:
     report, folder = comparison
     pictures = {"raster.png", "raytrace.png", "error.tiff", "compare.png"}
     assert {path.name for path in folder.iterdir()} == pictures | {"raster.html", "raster.md", "raster.json"}

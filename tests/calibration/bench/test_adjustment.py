@@ -21,6 +21,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
+Solved = Sequence[tuple[TrueBench, Adjustment]]
+
 SEEDS = range(3)
 
 
@@ -42,7 +44,7 @@ def rms(values: Sequence[FloatArray]) -> float:
     return float(np.sqrt(np.mean(np.square(np.concatenate([np.ravel(each) for each in values])))))
 
 
-def test_errors_of_poses_are_as_large_as_their_sigmas(solved: Sequence[tuple[TrueBench, Adjustment]]) -> None:
+def test_errors_of_poses_are_as_large_as_their_sigmas(solved: Solved) -> None:
     targets = [over_sigma(bench.targets[k], found.target_pose(k)) for bench, found in solved for k in bench.targets]
     places = [
         over_sigma(bench.true_places[place], found.camera_pose(place))
@@ -62,9 +64,7 @@ def test_errors_of_poses_are_as_large_as_their_sigmas(solved: Sequence[tuple[Tru
     assert 0.6 < rms(lenses) < 1.6
 
 
-def test_the_motion_between_two_visits_lacks_the_errors_that_both_share(
-    solved: Sequence[tuple[TrueBench, Adjustment]],
-) -> None:
+def test_the_motion_between_two_visits_lacks_the_errors_that_both_share(solved: Solved) -> None:
     bench, found = solved[0]
     first = next(place for place in bench.true_places if place.startswith("sweep"))
     assert not found.relative_motion(first, first)[1].any()
@@ -79,7 +79,7 @@ def test_the_motion_between_two_visits_lacks_the_errors_that_both_share(
     assert np.trace(shared[3:, 3:]) == pytest.approx(2.0 * screws * found.sizes["screw"] ** 2, rel=0.01)
 
 
-def test_the_stage_is_as_good_as_it_is(solved: Sequence[tuple[TrueBench, Adjustment]]) -> None:
+def test_the_stage_is_as_good_as_it_is(solved: Solved) -> None:
     turn = np.exp(np.mean([np.log(found.sizes["turn"]) for _, found in solved]))
     shift = np.exp(np.mean([np.log(found.sizes["shift"]) for _, found in solved]))
     dots = np.mean([found.sizes.feature_m["board"] for _, found in solved])
@@ -89,9 +89,7 @@ def test_the_stage_is_as_good_as_it_is(solved: Sequence[tuple[TrueBench, Adjustm
     assert dots == pytest.approx(1e-5, rel=0.3)
 
 
-def test_a_stage_that_turns_by_ordinary_amounts_passes_all_checks(
-    solved: Sequence[tuple[TrueBench, Adjustment]],
-) -> None:
+def test_a_stage_that_turns_by_ordinary_amounts_passes_all_checks(solved: Solved) -> None:
     for bench, found in solved:
         failed = [check.sentence for check in bench_checks(found, []) if not check.ok]
         assert not failed, bench.seed
@@ -259,7 +257,7 @@ def test_significance_is_that_of_one_normal_variable() -> None:
     assert 40 < significance(2500.0, 6) < 60
 
 
-def test_a_search_without_an_end_contradicts_the_bench(solved: Sequence[tuple[TrueBench, Adjustment]]) -> None:
+def test_a_search_without_an_end_contradicts_the_bench(solved: Solved) -> None:
     """Two targets of the tracking camera exchanged half way: no bench fits, and the search says that it found none."""
     sound = thinned(TrueBench(3).observations(lens_photographs=6))
     exchanged = ("tracking/pose0_after.png", "tracking/pose1_after.png")

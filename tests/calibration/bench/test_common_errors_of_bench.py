@@ -18,9 +18,11 @@ from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 
+Calibrated = tuple[PhotoSession, CalibratedBench, Captures]
+
 
 @pytest.fixture(scope="module")
-def calibrated() -> tuple[PhotoSession, CalibratedBench, Captures]:
+def calibrated() -> Calibrated:
     recipe = SimulationRecipe("birdbath28", viewpoints=4, bench=PhotoBenchOptions((640, 512), seed=3))
     made = simulate_readings(recipe, ReadingOptions(panel_samples=60, most_dots=50))
     session = with_stated_lenses(made.session)
@@ -28,9 +30,7 @@ def calibrated() -> tuple[PhotoSession, CalibratedBench, Captures]:
     return session, bench, sound_captures(session, made.reading, bench)[0]
 
 
-def test_own_and_common_motions_are_those_of_the_adjustment(
-    calibrated: tuple[PhotoSession, CalibratedBench, Captures],
-) -> None:
+def test_own_and_common_motions_are_those_of_the_adjustment(calibrated: Calibrated) -> None:
     session, bench, captures = calibrated
     for part, entries in ((captures.display, session.display), (captures.see_through, session.see_through)):
         poses, covariance = bench.adjustment.camera_poses([place_key(session, each) for each in entries])
@@ -43,9 +43,7 @@ def test_own_and_common_motions_are_those_of_the_adjustment(
             np.testing.assert_allclose(found, np.diag(block), rtol=1e-6)
 
 
-def test_the_extrinsics_move_all_cameras_and_targets_alike(
-    calibrated: tuple[PhotoSession, CalibratedBench, Captures],
-) -> None:
+def test_the_extrinsics_move_all_cameras_and_targets_alike(calibrated: Calibrated) -> None:
     """Rays to the points turn as little as the optics bend them; the cameras turn by what session.toml states."""
     session, _, captures = calibrated
     assert captures.see_through is not None
@@ -64,7 +62,7 @@ def test_the_extrinsics_move_all_cameras_and_targets_alike(
     assert np.sqrt(np.mean(by_ray[..., mine] ** 2)) < 0.02 * turn
 
 
-def test_own_motions_are_of_the_stage_alone(calibrated: tuple[PhotoSession, CalibratedBench, Captures]) -> None:
+def test_own_motions_are_of_the_stage_alone(calibrated: Calibrated) -> None:
     """Repeatability of 5 um and 10 urad, and what a few photographs leave open; not the 0.3 mm of the extrinsics."""
     _, _, captures = calibrated
     assert captures.display is not None

@@ -23,6 +23,8 @@ from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
+Crumpled = Sequence[tuple["CrumpledBench", Adjustment]]
+
 PRINT_M, HEIGHT_M, SCREW_M, PERIOD_M, RIPPLE_PX = 6e-5, 1e-4, 1e-5, 1.7e-3, 0.1
 
 
@@ -98,9 +100,7 @@ def crumpled() -> list[tuple[CrumpledBench, Adjustment]]:
     return found
 
 
-def test_features_that_no_photograph_shows_are_predicted_by_those_that_it_shows(
-    crumpled: Sequence[tuple[CrumpledBench, Adjustment]],
-) -> None:
+def test_features_that_no_photograph_shows_are_predicted_by_those_that_it_shows(crumpled: Crumpled) -> None:
     """Three quarters of the dots are in no view; the fields are wider than the distances of the others."""
     for bench, found in crumpled:
         shape = found.state.shape["board"]
@@ -113,9 +113,7 @@ def test_features_that_no_photograph_shows_are_predicted_by_those_that_it_shows(
         assert np.sqrt(np.mean(off[:, 2] ** 2)) < 0.6 * HEIGHT_M
 
 
-def test_the_smooth_part_of_a_board_is_told_from_the_errors_of_single_features(
-    crumpled: Sequence[tuple[CrumpledBench, Adjustment]],
-) -> None:
+def test_the_smooth_part_of_a_board_is_told_from_the_errors_of_single_features(crumpled: Crumpled) -> None:
     dots = [found.sizes.feature_m["board"] for _, found in crumpled]
     fields = [found.sizes["print"] for _, found in crumpled]
     assert np.mean(dots) < 0.6 * PRINT_M
@@ -134,16 +132,12 @@ def pulls_of_places(bench: CrumpledBench | ScrewBench | WarmBench, found: Adjust
     )
 
 
-def test_errors_of_cameras_before_a_crumpled_board_are_as_large_as_their_sigmas(
-    crumpled: Sequence[tuple[CrumpledBench, Adjustment]],
-) -> None:
+def test_errors_of_cameras_before_a_crumpled_board_are_as_large_as_their_sigmas(crumpled: Crumpled) -> None:
     pulls = np.concatenate([pulls_of_places(bench, found) for bench, found in crumpled])
     assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.5
 
 
-def test_a_board_in_a_station_file_has_its_smooth_errors(
-    crumpled: Sequence[tuple[CrumpledBench, Adjustment]], tmp_path: Path
-) -> None:
+def test_a_board_in_a_station_file_has_its_smooth_errors(crumpled: Crumpled, tmp_path: Path) -> None:
     bench, found = crumpled[0]
     path = save_station(
         tmp_path / "station-right.json", CalibratedBench(cast(PhotoSession, None), found, (), {}, (), ())
