@@ -20,7 +20,6 @@ from small_headsets import changed_device
 
 from wlr_render import __version__
 from wlr_render.cli import RENAMED, VERBS, Verb, main, make_app
-from wlr_render.jobs.demo import DemoOptions
 from wlr_render.jobs.options import Range, flag_of
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.report.blocks import Report, ReportTable
@@ -323,24 +322,6 @@ def test_options_reach_the_jobs() -> None:
         supersample=3,
         shadows=True,
         video=True,
-    )
-    warping = ["--materials", "gltf", "--resolution", "1.5", "--maps", "pfm", "--per-colour"]
-    colours = ["--red-model", "r.json", "--blue-model", "b.json", "--backend", "osmesa", "--out", "elsewhere"]
-    assert options_given_by(["render", "g.json", "desk", *warping, *colours]) == RenderOptions(
-        "g.json",
-        "desk",
-        materials="gltf",
-        resolution=1.5,
-        maps="pfm",
-        per_colour=True,
-        red_model=Path("r.json"),
-        blue_model=Path("b.json"),
-        backend="osmesa",
-        out=Path("elsewhere"),
-    )
-    chosen = ["--device", "birdbath28", "--scene", "desk", "--eye", "left", "--viewpoints", "9", "--seed", "4"]
-    assert options_given_by(["demo", *chosen, "--backend", "cpu", "--out", "elsewhere"]) == DemoOptions(
-        device="birdbath28", scene="desk", eye="left", viewpoints=9, seed=4, backend="cpu", out=Path("elsewhere")
     )
 
 

@@ -192,14 +192,11 @@ def rewritten(tmp_path: Path, header: dict[Any, Any], arrays: Mapping[str, Any])
         ({}, {"header": np.array("{")}, "cannot be read as a capture file with a JSON 'header'"),
         ({}, {"display_pixel": None}, "the array 'display_pixel' is missing"),
         ({}, {"display_pixel": np.zeros((3, 2))}, r"'pixel' must have shape \(20, 2\)"),
-        ({}, {"see_through_point": None}, "the array 'see_through_point' is missing"),
         ({}, {"feature": None}, "the array 'feature' is missing"),
         ({}, {"feature": np.zeros((40, 2))}, r"'feature' must have shape \(40, 3\)"),
         ({}, {"viewpoint": np.zeros((3, 3))}, r"'viewpoint' must have shape \(40, 3\), not \(3, 3\)"),
-        ({}, {"time_s": np.zeros(3)}, r"'time_s' must have shape \(40,\)"),
         ({}, {"kind": np.full(40, 7)}, "'kind' must be 0"),
         ({}, {"kind": np.array(["a"] * 40)}, "'kind' holds <U1 values, not numbers"),
-        ({}, {"kind": np.zeros((40, 1), int)}, r"'kind' must have shape \(40,\)"),
         ({}, {"feature": np.array([{}] * 40)}, "Object arrays cannot be loaded"),
         ({}, {"viewpoint": np.full((40, 3), 1j)}, "holds complex128 values"),
         ({}, {"viewpoint": np.full((40, 3), np.nan)}, "'viewpoint' has numbers that are not finite"),
@@ -221,10 +218,7 @@ def rewritten(tmp_path: Path, header: dict[Any, Any], arrays: Mapping[str, Any])
         ({"eye_box": {"centre_m": [0, 0, 0], "size_m": [1e-5] * 3}}, {}, "'eye_box' has the size .* in metres"),
         ({}, {"target_pose": np.full(40, -1)}, "'target_pose' has the value -1; it should be between 0 and"),
         ({}, {"travel": np.full(40, 0.3)}, "'travel' has values other than -1, 0 and 1"),
-        ({}, {"temperature_c": np.full(40, 72.0)}, "'temperature_c' has the value 72"),
         ({}, {"display_motion_size": None}, "the array 'display_motion_size' is missing"),
-        ({}, {"sigma_arcmin": np.zeros(40) - 1}, "'sigma_arcmin' must be positive everywhere"),
-        ({}, {"view_dir": np.full((40, 3), -1.0)}, "'view_dir' must be unit vectors"),
         ({}, {"channel": np.full(40, 3)}, "'channel' has the value"),
         ({}, {"time_s": np.arange(40) * 1e10}, "'time_s' has the value 1.1e.11; it should be between -1e\\+11"),
         ({}, {"temperature_c": np.full(40, 293.0)}, "'temperature_c' has the value 293"),
@@ -339,13 +333,6 @@ def test_rows_of_both_kinds_may_be_mixed_and_are_named_by_their_place_in_the_fil
     twice = {name: np.append(values, values[3:4], axis=0) if values.ndim else values for name, values in mixed.items()}
     np.savez(path, **twice)
     with pytest.raises(BadInputError, match="row 40 repeats row 3"):
-        load_captures(path)
-
-
-def test_a_row_that_is_repeated_is_named(tmp_path: Path) -> None:
-    rows = np.append(np.arange(20), 3)
-    path = Captures(select(DISPLAY, rows)).save(tmp_path / "eye.npz")
-    with pytest.raises(BadInputError, match="row 20 repeats row 3"):
         load_captures(path)
 
 

@@ -24,7 +24,7 @@ from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.exports import export_view as view
 from wlr_render.exports.formats import FORMATS, FormatName
-from wlr_render.extras import MissingExtraError, install_command
+from wlr_render.extras import MissingExtraError
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.io.escapes import markdown_text
 from wlr_render.io.kept import Kept
@@ -311,15 +311,6 @@ def test_the_command_line_takes_a_pupil_position(
     assert main(["export", small_northstar, "--format", "stmap", *place]) == 0
     assert "33.500, -0.500, -30.000" in (tmp_path / "report.md").read_text(encoding="utf-8")
     assert "Misalignment by a map" in capsys.readouterr().out
-
-
-def test_without_openexr_one_sentence_says_how_to_install_it(
-    small_northstar: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "OpenEXR", None)
-    sentence = refused(["export", small_northstar, "--format", "stmap", "--out", str(tmp_path / "out")], capsys)
-    assert install_command("exr") in sentence
-    assert not list(tmp_path.rglob("*.exr"))
 
 
 def test_models_of_one_name_keep_their_own_hashes(straight_device: str, tmp_path: Path) -> None:

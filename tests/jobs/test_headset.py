@@ -60,17 +60,6 @@ def test_effects_of_a_bench_that_its_maps_do_not_have_are_said(straight_device: 
     assert "do not have its effects of panel (shift by viewpoint); render with models fitted to the session" in said
 
 
-def test_a_model_cut_short_or_of_another_version_is_refused(model_file: str, tmp_path: Path) -> None:
-    text = Path(model_file).read_text(encoding="utf-8")
-    short, newer = tmp_path / "short.json", tmp_path / "newer.json"
-    short.write_text(text[: len(text) // 2], encoding="utf-8")
-    newer.write_text(json.dumps(json.loads(text) | {"version": 4}), encoding="utf-8")
-    with pytest.raises(BadInputError, match=r"short\.json: cannot be read as a model file"):
-        open_eye(short)
-    with pytest.raises(BadInputError, match=r"newer\.json: has version 4; this program reads versions 1 to 3"):
-        open_eye(newer)
-
-
 def test_the_eye_box_is_a_border_with_a_micrometre_of_slack(straight_device: str) -> None:
     eye = open_eye(straight_device)
     corner = eye.eye_box.at(np.ones(3))

@@ -47,12 +47,6 @@ def test_boards_of_every_kind_are_written_and_found(
     assert len(read.find(read_photograph(png))) >= 0.95 * features
 
 
-def test_a_board_that_would_look_the_same_turned_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match=r"chessboard of 8 x 8: .* looks the same turned by 90 degrees"):
-        board(BoardOptions(kind="chessboard", columns=8, rows=8, out=tmp_path))
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_what_cannot_be_made_is_refused_and_nothing_written(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="take at least 5 x 5"):
         board(BoardOptions(columns=2, rows=2, out=tmp_path / "b"))

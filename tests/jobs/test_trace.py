@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 from present import as_number, present
 
-from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import resource
 from wlr_render.jobs.options import Eyes
 from wlr_render.jobs.trace import TraceOptions, imaging_warnings, loss_warnings, trace
@@ -52,12 +51,6 @@ def test_both_eyes_are_traced_and_mirror_each_other(tmp_path: Path, small_norths
     assert [path.suffix for path in report.files].count(".png") == 2
     left, _, _, _, right, *_ = report.tables
     assert left.rows[0][1] == pytest.approx(right.rows[0][1], rel=1e-9)
-
-
-def test_an_eye_that_is_not_there_writes_nothing(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match="no left eye"):
-        traced("no_optics", tmp_path / "out", "left")
-    assert not (tmp_path / "out").exists()
 
 
 def birdbath(tmp_path: Path, *changes: tuple[str, str], name: str = "changed") -> str:

@@ -137,13 +137,6 @@ def test_words_of_a_figure_are_no_formula(tmp_path: Path) -> None:
     assert axes.yaxis.get_ticklabels()[1].get_parse_math()
 
 
-def test_the_page_escapes_text_of_files(saved: Report) -> None:
-    page = saved.files[0].read_text()
-    assert "<title>Report of &lt;session&gt; &amp; co</title>" in page
-    assert "b|&lt;i&gt;" in page
-    assert "b|<i>" not in page.split("application/json")[0]
-
-
 def test_long_tables_are_folded(tmp_path: Path) -> None:
     tables = [ReportTable(f"Table of {count}", ["n"], [[n] for n in range(count)]) for count in (20, 21)]
     page = save_report(Report("T", blocks=tables), tmp_path, "report").files[0].read_text()

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from corpus.base_texts import GLASSES, LENS_SEQ, LENS_ZMX, OPTILAND, RAYOPTICS
+from corpus.base_texts import LENS_SEQ, LENS_ZMX, OPTILAND, RAYOPTICS
 from corpus.case import Case, Change, replaced, written
 from corpus.cases.hostile_files import OPTICS
 from corpus.damage import Keys, with_value
@@ -13,14 +13,8 @@ from corpus.damage import Keys, with_value
 ZEMAX: dict[str, tuple[str, str, str]] = {
     "a curvature of nan": ("CURV 0.02", "CURV nan", "line 10"),
     "a curvature of inf": ("CURV 0.02", "CURV inf", "line 10"),
-    "a distance of 1e308": ("DISZ 45", "DISZ 1e308", "DISZ"),
     "a distance of 400 digits": ("DISZ 45", "DISZ " + "9" * 400, "DISZ"),
-    "an image at infinity": ("DISZ 45", "DISZ INFINITY", "DISZ"),
     "millimetres stated as metres": ("UNIT MM", "UNIT METER", "plausible|length|convert its unit"),
-    "an unknown unit": ("UNIT MM", "UNIT PARSEC", "parsec"),
-    "rays that split": ("UNIT MM", "UNIT MM\nMODE NSC", "NSC"),
-    "a surface twice": ("SURF 4", "SURF 3", "surface '3'"),
-    "a glass that is missing": ("GLAS CORPUS", "GLAS NO-SUCH-1", "NO-SUCH-1"),
     "a glass of escapes": ("GLAS CORPUS", "GLAS \x1b[31m\u202e", "catalogue"),
     "a glass of index 0": ("GLAS CORPUS 0 0 1.5 40", "GLAS ___BLANK 1 0 0 60", "index"),
     "a glass of index nan": ("GLAS CORPUS 0 0 1.5 40", "GLAS ___BLANK 1 0 nan 60", "GLAS"),
@@ -50,16 +44,10 @@ ZEMAX: dict[str, tuple[str, str, str]] = {
 CODE_V: dict[str, tuple[str, str, str]] = {
     "a radius of nan": ("S 50.0", "S nan", "line 12"),
     "a radius of 1e-320": ("S 50.0", "S 1e-320", "lens.seq"),
-    "a thickness of 1e308": ("S 50.0 5.0", "S 50.0 1e308", "line 12"),
     "a thickness of 400 digits": ("S 50.0 5.0", "S 50.0 " + "9" * 400, "line 12"),
     "no thickness": ("S 0.0 45.0", "S 0.0", "line 19"),
     "metres stated as millimetres": ("S 0.0 45.0", "S 0.0 0.045e6", "plausible|length|convert its unit"),
-    "an unknown unit": ("DIM M", "DIM PARSEC", "PARSEC"),
-    "an open quote": ("TITLE 'lens'", "TITLE 'lens", "line 2"),
-    "no object": ("SO 0.0 0.1e14\n", "", "SO"),
-    "a surface of number 999": ("S 0.0 45.0", "S999 0.0 45.0", "S999"),
     "a command of surface 999999": ("CIR 18", "CIR S999999 18", "S999999"),
-    "a surface behind the image": ("GO", "S 0 1", "follows the image SI"),
     "a glass that is missing": ("CORPUS_MAKER", "NO-SUCH-1", "NO-SUCH-1"),
     "a glass of escapes": ("CORPUS_MAKER", "\x1b[31m\u202e", "catalogue"),
     "a glass of index 0": ("CORPUS_MAKER", "0.0 60", "index"),
@@ -81,16 +69,10 @@ CODE_V: dict[str, tuple[str, str, str]] = {
 # By name: old and new text of the catalogue, and a word of the sentence.
 CATALOGUES: dict[str, tuple[str, str, str]] = {
     "a weak pole in visible light": ("2.317923440E-01 2.001791440E-02", "1e-6 0.36", "infinite at 0.6 um"),
-    "a coefficient of nan": ("1.039612120E+00", "nan", "is nan"),
     "a coefficient of 1e308": ("1.039612120E+00", "1e308", "index at"),
     "a pole in green light": ("6.000698670E-03", "0.30250000000000005", "index"),
     "a pole in blue light": ("6.000698670E-03", "0.2116", "index"),
-    "coefficients cut short": (" 1.035606530E+02 0 0 0 0", "", "5 coefficients"),
-    "a coefficient too many": ("1.035606530E+02 0 0", "1.035606530E+02 0.5 0", "10 coefficients"),
-    "a formula of text": ("CORPUS 2 ", "CORPUS two ", "not numbers"),
-    "an unknown formula": ("CORPUS 2 ", "CORPUS 99 ", "formula 99"),
     "a formula of 400 digits": ("CORPUS 2 ", f"CORPUS {'9' * 400} ", "not numbers"),
-    "no glass": (GLASSES, "CC Glasses\n", "no line 'NM'"),
     "another glass": ("NM CORPUS", "NM BORPUS", "CORPUS"),
 }
 SURFACE = ("surface_group", "surfaces", 2)

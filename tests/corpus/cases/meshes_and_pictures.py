@@ -179,13 +179,11 @@ def _light(**light: Any) -> Change:
 
 GLTF: dict[str, Change] = {
     "a matrix of nan": _node(matrix=_matrix(np.nan)),
-    "a matrix of 1e308": _node(matrix=_matrix(1e308)),
     "a matrix of 1e39": _node(matrix=_matrix(1e39)),
     "a matrix of zeros": _node(matrix=[0] * 16),
     "a matrix of 3 numbers": _node(matrix=[1, 2, 3]),
     "a matrix of text": _node(matrix="identity"),
     "a matrix of huge integers": _node(matrix=_matrix(HUGE)),
-    "a rotation of zeros": _node(rotation=[0, 0, 0, 0]),
     "a scale of inf": _node(scale=[np.inf, 1, 1]),
     "a translation of 1e300": _node(translation=[1e300, 0, 0]),
     "a translation of 1e39": _node(translation=[1e39, 0, 0]),
@@ -196,22 +194,11 @@ GLTF: dict[str, Change] = {
     "a buffer of broken base64": gltf(lambda text: text["buffers"][0].update(uri="data:application/octet-stream;base64,####")),
     "a buffer by a number": gltf(lambda text: text["buffers"][0].update(uri=5)),
     "no buffers": gltf(lambda text: text.pop("buffers")),
-    "a buffer view beyond the end": gltf(lambda text: text["bufferViews"][0].update(byteOffset=10**6)),
     "a buffer view of -5": gltf(lambda text: text["bufferViews"][0].update(byteOffset=-5)),
-    "1e9 vertices": _accessor(count=10**9),
     "-5 vertices": _accessor(count=-5),
-    "an unknown component type": _accessor(componentType=9999),
-    "an unknown type": _accessor(type="VEC9"),
-    "a mesh that is not there": gltf(lambda text: [node.update(mesh=77) for node in text["nodes"] if "mesh" in node]),
     "a material that is not there": gltf(lambda text: text["meshes"][0]["primitives"][0].update(material=77)),
     "an accessor that is not there": gltf(lambda text: text["meshes"][0]["primitives"][0]["attributes"].update(POSITION=77)),
-    "nodes in a circle": gltf(lambda text: text["nodes"][-1].update(children=[0])),
     "meshes that are a number": gltf(lambda text: text.update(meshes=5)),
-    "no meshes": gltf(lambda text: text.update(meshes=[], nodes=[{}])),
-    "an unknown extension": gltf(lambda text: text.update(extensionsRequired=["KHR_magic"])),
-    "version 99": gltf(lambda text: text["asset"].update(version="99.0")),
-    "a missing texture": _texture("nowhere.png"),
-    "a texture in the folder above": several([_texture("../texture.png")]),
     "a texture that is no picture": _texture("gltf_buffer_0.bin"),
     "a texture of broken base64": _texture("data:image/png;base64,AAAA"),
     "a texture of another format": _texture("picture.exr"),
@@ -236,24 +223,16 @@ GLB: dict[str, Change] = {
 
 PLY: dict[str, Change] = {
     "1e9 vertices": edited("box.ply", lambda content: content.replace(b"vertex 8", b"vertex 1000000000")),
-    "-8 vertices": edited("box.ply", lambda content: content.replace(b"vertex 8", b"vertex -8")),
-    "more faces than there are": edited("box.ply", lambda content: content.replace(b"face 12", b"face 20")),
     "fewer faces than there are": edited("box.ply", lambda content: content.replace(b"face 12", b"face 7")),
     "1e9 faces": edited("box.ply", lambda content: content.replace(b"face 12", b"face 1000000000")),
-    "a face of vertex 99": edited("box.ply", lambda content: content.replace(b"\n3 1 3 0", b"\n3 1 99 0", 1)),
-    "a vertex of nan": edited("box.ply", lambda content: content.replace(b"-0.1", b"nan", 1)),
     "a vertex of 1e39": edited("box.ply", lambda content: content.replace(b"-0.1", b"1e39", 1)),
     "a vertex of 1e300": edited("box.ply", lambda content: content.replace(b"-0.1", b"1e300", 1)),
-    "a vertex of text": edited("box.ply", lambda content: content.replace(b"-0.1", b"abc", 1)),
     "an unknown type": edited("box.ply", lambda content: content.replace(b"float", b"magic", 1)),
-    "no end of its header": edited("box.ply", lambda content: content.replace(b"end_header\n", b"")),
 }
 BINARY_PLY: dict[str, Change] = {
     "1e9 vertices": edited("binary.ply", lambda content: content.replace(b"vertex 8", b"vertex 1000000000")),
-    "more faces than there are": edited("binary.ply", lambda content: content.replace(b"face 12", b"face 20")),
     "1e9 faces": edited("binary.ply", lambda content: content.replace(b"face 12", b"face 1000000000")),
     "the last face cut": edited("binary.ply", lambda content: content[:-7]),
-    "a face of 200 corners": edited("binary.ply", lambda content: content[:-13] + b"\xc8" + content[-12:]),
     "a face of vertex 2147483647": edited("binary.ply", lambda content: content[:-4] + b"\xff\xff\xff\x7f"),
 }
 OBJ: dict[str, Change] = {
@@ -261,15 +240,10 @@ OBJ: dict[str, Change] = {
     "a vertex of 1e39": replaced("box.obj", "v 0.1", "v 1e39"),
     "a vertex of 1e308": replaced("box.obj", "v 0.1", "v 1e308"),
     "a vertex of text": replaced("box.obj", "v 0.1", "v abc"),
-    "a vertex of two numbers": edited("box.obj", lambda content: content + b"v 1 2\nf 9 1 2\n"),
-    "a face of vertex 99": edited("box.obj", lambda content: content + b"f 1 2 99\n"),
-    "a face of vertex 0": edited("box.obj", lambda content: content + b"f 0 1 2\n"),
     "a face of vertex -99": edited("box.obj", lambda content: content + b"f -99 1 2\n"),
     "a face of text": edited("box.obj", lambda content: content + b"f a b c\n"),
-    "no faces": edited("box.obj", lambda content: b"".join(x for x in content.splitlines(True) if x[:1] != b"f")),
     "only flat faces": edited("box.obj", lambda content: b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"),
     "a material above": edited("box.obj", lambda content: b"mtllib ../../etc/passwd\nusemtl a\n" + content),
-    "a missing material": edited("box.obj", lambda content: b"mtllib nowhere.mtl\nusemtl a\n" + content),
     "in millimetres": edited("box.obj", lambda content: content.replace(b"0.1", b"100.0")),
 }  # fmt: skip
 
@@ -297,7 +271,7 @@ def cases() -> Iterator[Case]:
     )
 
 
-_FINE = {"version 99", "a length of 4 GB", "fewer faces than there are"}
+_FINE = {"a length of 4 GB", "fewer faces than there are"}
 _WARNED = {"in millimetres", "a matrix of zeros"}
 
 

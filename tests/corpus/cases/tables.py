@@ -4,7 +4,7 @@ import gzip
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from corpus.base_texts import EYES, GAZE, HEAD, HEAD_CSV, LENS_MRCAL, LENS_XML, LENS_YAML, PHOTO_SESSION
+from corpus.base_texts import EYES, GAZE, HEAD, HEAD_CSV, LENS_MRCAL, LENS_YAML, PHOTO_SESSION
 from corpus.case import Case, Change, Expected, edited, replaced, several, written
 from corpus.cases.hostile_files import DECODE, PHOTOS
 
@@ -22,46 +22,23 @@ def _text(old: str, change: Callable[[str], str]) -> str:
 
 # By name: file, option, text. Each is refused.
 TRAJECTORIES: dict[str, tuple[str, str]] = {
-    "unsorted": ("head.txt", "0.2 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 1\n"),
-    "the same time twice": ("head.txt", "0.1 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 1\n"),
-    "a quaternion of zeros": ("head.txt", HEAD + "0.5 0 0 0 0 0 0 0\n"),
-    "a quaternion of length 5": ("head.txt", HEAD + "0.5 0 0 0 0 0 3 4\n"),
     "a time of nan": ("head.txt", HEAD + "nan 0 0 0 0 0 0 1\n"),
     "a time of inf": ("head.txt", HEAD + "inf 0 0 0 0 0 0 1\n"),
-    "a place of nan": ("head.txt", HEAD + "0.5 nan 0 0 0 0 0 1\n"),
     "a place of 1e308": ("head.txt", HEAD + "0.5 1e308 0 0 0 0 0 1\n"),
-    "a time of 1e308": ("head.txt", HEAD + "1e308 0 0 0 0 0 0 1\n"),
     "a time of 1e18": ("head.txt", HEAD + "1e18 0 0 0 0 0 0 1\n"),
-    "a column too few": ("head.txt", HEAD + "0.5 0 0 0 0 0 0\n"),
-    "a column too many": ("head.txt", HEAD + "0.5 0 0 0 0 0 0 1 9\n"),
-    "text": ("head.txt", HEAD + "0.5 a b c 0 0 0 1\n"),
     "escapes": ("head.txt", HEAD + "0.5 \x1b[31m 0 0 0 0 0 1\n"),
-    "only comments": ("head.txt", "# nothing\n# here\n"),
-    "EuRoC in seconds": ("head.csv", "0.0,0,0,0,1,0,0,0\n0.1,0,0,0,1,0,0,0\n"),
     "EuRoC below zero": ("head.csv", "5,0,0,0,1,0,0,0\n-5,0,0,0,1,0,0,0\n"),
     "EuRoC of huge times": ("head.csv", HEAD_CSV + "9" * 400 + ",0,0,0,1,0,0,0\n"),
-    "EuRoC with a place of nan": ("head.csv", HEAD_CSV + "900000000,nan,0,0,1,0,0,0\n"),
-    "EuRoC with a quaternion of zeros": ("head.csv", HEAD_CSV + "900000000,0,0,0,0,0,0,0\n"),
     "EuRoC too short": ("head.csv", HEAD_CSV + "900000000,0,0\n"),
-    "a third eye": ("eyes.txt", EYES + "0.5 middle 0 0 0\n"),
-    "eyes of nan": ("eyes.txt", EYES + "0.5 right nan 0 0\n"),
-    "eyes in millimetres": ("eyes.txt", EYES.replace("0.001 0 0", "1 0 0").replace("0.002 0 0", "2 0 0")),
     "eyes far away": ("eyes.txt", EYES + "0.5 right 1e6 0 0\n"),
     "eyes at 1e308": ("eyes.txt", EYES + "0.5 right 1e308 0 0\n"),
-    "eyes unsorted": ("eyes.txt", EYES + "0.1 right 0 0 0\n"),
     "only left eyes": ("eyes.txt", EYES.replace("right", "left")),
     "no header": ("eyes.txt", "0.0 right 0 0 0\n"),
-    "another frame": ("eyes.txt", EYES.replace("openxr-device", "opencv")),
-    "units of millimetres": ("eyes.txt", EYES.replace("s m", "ms mm")),
     "an unknown kind": ("eyes.txt", EYES.replace("viewpoint", "magic")),
-    "another version": ("eyes.txt", EYES.replace("trajectory 1", "trajectory 99")),
     "a gaze backwards": ("gaze.txt", GAZE + "0.5 right 0 0 1\n"),
     "a gaze of no length": ("gaze.txt", GAZE + "0.5 right 0 0 0\n"),
-    "a gaze of length 2": ("gaze.txt", GAZE + "0.5 right 0 0 -2\n"),
     "a gaze without a centre": ("gaze.txt", GAZE.replace("rotation_centre_right_m", "rotation_centre_left_m")),
     "a centre of nan": ("gaze.txt", GAZE.replace("0 0 0.0105", "0 nan 0")),
-    "a centre in millimetres": ("gaze.txt", GAZE.replace("0 0 0.0105", "0 0 10.5")),
-    "a pupil distance of -1": ("gaze.txt", GAZE.replace("distance_m: 0.0105", "distance_m: -1")),
     "a pupil distance of inf": ("gaze.txt", GAZE.replace("distance_m: 0.0105", "distance_m: inf")),
     "a pupil distance in millimetres": ("gaze.txt", GAZE.replace("distance_m: 0.0105", "distance_m: 10.5")),
 }
@@ -97,27 +74,10 @@ def _without_tables(folder: Path) -> None:
 BENCH: dict[str, Change] = {
     "stage in metres": _cell("stage_x_mm", lambda x: x / 1000, every=True),
     "stage in micrometres": _cell("stage_x_mm", lambda x: 1000 * x, every=True),
-    "a stage of 1e308": _cell("stage_x_mm", "1e308"),
-    "a stage of nan": _cell("stage_x_mm", "nan"),
-    "a stage of text": _cell("stage_x_mm", "left"),
-    "an empty cell": _cell("stage_x_mm", ""),
-    "a pixel of inf": _cell("pixel_u", "inf"),
-    "a pixel of 1e308": _cell("pixel_u", "1e308"),
     "pixels a million off": _cell("pixel_u", lambda u: u + 1e6, every=True),
     "camera pixels a million off": _cell("camera_u", lambda u: u + 1e6, every=True),
     "a capture of -1": _cell("capture", "-1"),
-    "a capture of 1e18": _cell("capture", "1e18"),
-    "a capture of 0.5": _cell("capture", "0.5"),
-    "a channel of 9": _cell("channel", "9"),
-    "a travel of 5": _cell("travel", "5"),
-    "a time of nan": _cell("time_s", "nan"),
-    "a time of 1e308": _cell("time_s", "1e308"),
-    "an unknown column": _table(lambda lines: [line + ",1" if k else line + ",magic" for k, line in enumerate(lines)]),
-    "a column twice": _table(lambda lines: [line + ",1" if k else line + ",capture" for k, line in enumerate(lines)]),
-    "a column missing": _table(lambda lines: [line.rpartition(",")[0] for line in lines]),
-    "a row too short": _table(lambda lines: [*lines, "1,2,3"]),
     "a row too long": _table(lambda lines: [*lines, lines[-1] + ",7"]),
-    "no rows": _table(lambda lines: lines[:1]),
     "one row": _table(lambda lines: lines[:2]),
     "semicolons": _table(lambda lines: [line.replace(",", ";") for line in lines]),
     "escapes in its header": _table(lambda lines: [lines[0] + ",\x1b[31m\u202e", *[f"{x},1" for x in lines[1:]]]),
@@ -133,43 +93,24 @@ BENCH: dict[str, Change] = {
 }  # fmt: skip
 
 PHOTO: dict[str, tuple[str, str, str]] = {
-    "a photograph in the folder above": ('"bare.png"', '"../outside.png"', "outside.png"),
     "a photograph by an absolute path": ('"bare.png"', '"/etc/hostname.png"', "hostname.png"),
     "a photograph that is not there": ('"bare.png"', '"nowhere.png"', "nowhere.png"),
     "a photograph that is endless": ('"bare.png"', '"/dev/zero"', "zero"),
-    "a board in the folder above": ('board = "board.toml"', 'board = "../board.toml"', "board.toml"),
     "a board by an absolute path": ('board = "board.toml"', 'board = "/etc/passwd"', "passwd"),
-    "a folder of pictures above": ('photographs = "shown"', 'photographs = "../codes"', "codes"),
     "a folder of pictures that is not there": ('photographs = "shown"', 'photographs = "nowhere"', "nowhere"),
-    "a panel of 1e9 pixels": ("width_px = 64\nheight_px = 48\n\n[code]", "width_px = 1000000000\nheight_px = 48\n\n[code]", "width_px|panel"),
-    "an eye box in metres": ("[10.0, 8.0, 6.0]", "[0.010, 0.008, 0.006]", "size_mm"),
     "a negative eye box": ("[10.0, 8.0, 6.0]", "[-10.0, 8.0, 6.0]", "size_mm"),
-    "a unit of metres": ('unit = "mm"', 'unit = "m"', "unit"),
-    "a rotation that is none": ("[[1.0, 0.0, 0.0], [0.0", "[[2.0, 0.0, 0.0], [0.0", "rotation"),
     "a rotation of nan": ("[[1.0, 0.0, 0.0], [0.0", "[[nan, 0.0, 0.0], [0.0", "rotation"),
-    "a negative focal length": ("focal_px = [60.0, 60.0]", "focal_px = [-60.0, 60.0]", "focal_px"),
     "a distortion of 1e308": ("distortion = [0.1,", "distortion = [1e308,", "distortion"),
     "a name of escapes": ('device = "a headset"', 'device = "a\\u001b[31m\\nforged: \\u202e"', "session.toml|photograph|board|dots"),
-    "17 bits": ("bits = 8", "bits = 17", "bits"),
-    "an unknown key": ('eye = "right"', 'eye = "right"\nmagic = 5', "magic"),
     "a million target poses": ("target_pose = 0", "target_pose = 1000000000", "target_pose|target pose"),
 }  # fmt: skip
 
 LENSES: dict[str, tuple[str, str]] = {
-    "a matrix of nan": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("60., 0., 31.5", ".Nan, 0., 31.5"))),
-    "a focal length of 0": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("[ 60.", "[ 0."))),
-    "a focal length of 1e308": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("[ 60.", "[ 1e308"))),
-    "an image of 1e9 pixels": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("width: 64", "width: 1000000000"))),
     "a negative image": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("width: 64", "width: -64"))),
-    "no matrix": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("camera_matrix", "magic"))),
     "an entity bomb": ("lens.xml", '<?xml version="1.0"?><!DOCTYPE l [<!ENTITY a "aaaaaaaaaa">]><opencv_storage>&a;</opencv_storage>'),
-    "an open tag": ("lens.xml", LENS_XML.replace("</opencv_storage>", "")),
-    "an unknown model": ("lens.cameramodel", _text(LENS_MRCAL, lambda text: text.replace("OPENCV5", "MAGIC"))),
     "a call": ("lens.cameramodel", "__import__('os').system('touch hacked')"),
-    "an intrinsic of 1e400": ("lens.cameramodel", _text(LENS_MRCAL, lambda text: text.replace("60.0, 60.0", "1e400, 60.0"))),
     "intrinsics of text": ("lens.cameramodel", _text(LENS_MRCAL, lambda text: text.replace("60.0, 60.0", "'a', 60.0"))),
     "1e9 knots": ("lens.cameramodel", _text(LENS_MRCAL, lambda text: text.replace("OPENCV5", "SPLINED_STEREOGRAPHIC_order=3_Nx=100000_Ny=100000_fov_x_deg=120"))),
-    "nested brackets": ("lens.cameramodel", "[" * 50_000 + "]" * 50_000),
 }  # fmt: skip
 
 CAUSES: dict[str, str] = {
