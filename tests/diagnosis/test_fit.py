@@ -68,12 +68,6 @@ def test_what_was_injected_comes_back(bench: Bench, plan: SessionPlan, run_time:
     assert_came_back(found, true)
 
 
-def test_a_combiner_tilted_by_a_degree_about_each_axis_comes_back(bench: Bench, plan: SessionPlan) -> None:
-    true = [1.0, -1.0, 1.0]
-    found = fitted_at_rest(measured(bench, plan, combiner_tilt=true), explanation(combiner_tilt=[0.0, 0.0, 0.0]))
-    assert_came_back(found, true)
-
-
 def test_where_readings_tell_little_the_prior_draws_as_in_linear_regression(bench: Bench, plan: SessionPlan) -> None:
     """Ten readings of a turned panel: the posterior mean lies between the truth and nothing."""
     true = [1.0, -1.0, 1.0]
@@ -85,14 +79,6 @@ def test_where_readings_tell_little_the_prior_draws_as_in_linear_regression(benc
     assert found is not None
     assert np.max(np.abs(drawn) / found.sigmas()) > 0.3
     np.testing.assert_array_less(np.abs(found.explanation.vector() - true + drawn), 0.05 * found.sigmas())
-
-
-def test_three_causes_at_once_come_back(bench: Bench, plan: SessionPlan) -> None:
-    true = explanation(panel_shift=[0.4, -0.6], stage_scale=[1.0, -0.5, 0.7], target_scale=[0.3, 0.2])
-    observations = measured(bench, plan, 0.0, 0, **dict(zip(true.names, true.values, strict=True)))
-    found = fitted_at_rest(observations, true.at(np.zeros(7)))
-    assert present(found).explanation.names == true.names
-    assert_came_back(found, true.vector())
 
 
 def test_error_bars_are_honest(bench: Bench, plan: SessionPlan) -> None:
