@@ -135,6 +135,7 @@ def said(found: tuple[LabelError, ...]) -> list[Any]:
     return [each.label for each in found if each.stands_out]
 
 
+@pytest.mark.slow
 def test_sound_sessions_show_nothing() -> None:
     found = [labels_of(display(seed, 4)) for seed in range(10)]
     found += [labels_in(of_board(seed)) for seed in range(2)]

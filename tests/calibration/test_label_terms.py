@@ -64,6 +64,7 @@ def errors_arcmin(mapping: FittedSeeThrough, rng: np.random.Generator) -> tuple[
     return arcmin_between(seen, dir_of_tangents(tangents)), mapping.sigma(point, viewpoint)
 
 
+@pytest.mark.slow
 def test_the_predicted_error_contains_printing_errors() -> None:
     ratios = []
     for has_target in (True, False):
