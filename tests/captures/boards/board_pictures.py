@@ -1,4 +1,4 @@
-"""Pictures of a board by a plain camera, four by four rays a pixel, with the truth of where its dots are seen."""
+"""Pictures of a board by a plain camera, some rays a pixel, with the truth of where its dots are seen."""
 
 from functools import cache
 from typing import Any, overload
@@ -15,7 +15,6 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 BOARD = design_board(18, 14, 0.01)
 CAMERA = LensCamera((480, 400), np.array([520.0, 520.0]), np.array([243.0, 196.0]))
 BARREL = LensCamera((480, 400), np.array([520.0, 520.0]), np.array([243.0, 196.0]), np.array([-0.2, 0, 0, 0, 0.0]))
-_RAYS = (np.arange(4) + 0.5) / 4
 
 
 def pose(
@@ -32,28 +31,37 @@ def pose(
 
 
 @cache
-def _ray_tangents(camera: LensCamera) -> FloatArray:
-    """(h * 4, w * 4, 2), from the pixels' corners."""
+def _ray_tangents(camera: LensCamera, rays: int) -> FloatArray:
+    """(h * rays, w * rays, 2), from the pixels' corners."""
     width, height = camera.size_px
+    within = (np.arange(rays) + 0.5) / rays
     corner = camera.tangents_of_pixel(np.stack(np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0)), axis=-1))
-    down = (corner[:-1, None] * (1 - _RAYS[:, None, None]) + corner[1:, None] * _RAYS[:, None, None]).reshape(
+    down = (corner[:-1, None] * (1 - within[:, None, None]) + corner[1:, None] * within[:, None, None]).reshape(
         -1, width + 1, 2
     )
-    return (down[:, :-1, None] * (1 - _RAYS[:, None]) + down[:, 1:, None] * _RAYS[:, None]).reshape(len(down), -1, 2)
+    return (down[:, :-1, None] * (1 - within[:, None]) + down[:, 1:, None] * within[:, None]).reshape(len(down), -1, 2)
 
 
 def light_of(
-    camera: LensCamera, camera_from_board: FloatArray, board: Board = BOARD, surround: float = 0.3, dot: float = 0.05
+    camera: LensCamera,
+    camera_from_board: FloatArray,
+    board: Board = BOARD,
+    surround: float = 0.3,
+    dot: float = 0.05,
+    rays: int = 4,
 ) -> FloatArray:
-    """(h, w) light: white of the board is 1, dots are `dot`, everything else `surround`."""
+    """(h, w) light: white of the board is 1, dots are `dot`, everything else `surround`.
+
+    With two `rays` a pixel and axis, features are where they should be to a twentieth of a pixel.
+    """
     rotation, origin = camera_from_board[:3, :3], camera_from_board[:3, 3]
-    in_board, start = _ray_tangents(camera) @ rotation[:2] + rotation[2], -origin @ rotation
+    in_board, start = _ray_tangents(camera, rays) @ rotation[:2] + rotation[2], -origin @ rotation
     place = start[:2] - in_board[..., :2] * (start[2] / in_board[..., 2:])
-    softness = np.full(place.shape[:-1], 0.25 * origin[2] / camera.focal_px[0])
+    softness = np.full(place.shape[:-1], origin[2] / (rays * camera.focal_px[0]))
     reflectance = board.reflectance(place, softness)
     light = np.where(np.isnan(reflectance), surround, dot + (1 - dot) * reflectance)
     height, width = camera.size_px[::-1]
-    return np.asarray(light.reshape(height, 4, width, 4).mean(axis=(1, 3)))
+    return np.asarray(light.reshape(height, rays, width, rays).mean(axis=(1, 3)))
 
 
 def truth(camera: LensCamera, camera_from_board: FloatArray, index: IntArray, board: Board = BOARD) -> FloatArray:

@@ -34,8 +34,13 @@ VIEW = pose(turn_deg=12, tilt_deg=28, distance_m=0.27, tilt_axis="x")
 
 
 @cache
+def sharp_light(name: str) -> FloatArray:
+    return light_of(BARREL, VIEW, BOARDS[name])
+
+
+@cache
 def view(name: str, blur_px: float = 0.8) -> FloatArray:
-    light = light_of(BARREL, VIEW, BOARDS[name])
+    light = sharp_light(name)
     height, width = light.shape
     v, u = np.mgrid[:height, :width]
     lamp = 0.35 + 0.65 * np.exp(-((u - 0.3 * width) ** 2 + (v - 0.7 * height) ** 2) / (0.6 * width) ** 2)

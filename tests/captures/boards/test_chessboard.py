@@ -19,7 +19,7 @@ TURNS = [0, 75, 180, 290]
 
 
 def picture(board: Chessboard, turn_deg: float = 20.0, camera: LensCamera = CAMERA, **view: Any) -> NDArray[np.uint8]:
-    return exposed(cv2.GaussianBlur(light_of(camera, pose(turn_deg, **view), board), (0, 0), 0.7), snr=40)
+    return exposed(cv2.GaussianBlur(light_of(camera, pose(turn_deg, **view), board, rays=2), (0, 0), 0.7), snr=40)
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ GRIDS = {
 
 def light(grid: CircleGrid, turn_deg: float = 15.0) -> FloatArray:
     return np.asarray(
-        cv2.GaussianBlur(light_of(CAMERA, pose(turn_deg, tilt_deg=15, distance_m=0.28), grid), (0, 0), 0.7)
+        cv2.GaussianBlur(light_of(CAMERA, pose(turn_deg, tilt_deg=15, distance_m=0.28), grid, rays=2), (0, 0), 0.7)
     )
 
 

@@ -21,7 +21,7 @@ APRIL = AprilGrid(4, 3, 0.032, 0.3)
 
 
 def picture(board: CellBoard, **view: Any) -> NDArray[np.uint8]:
-    return exposed(cv2.GaussianBlur(light_of(CAMERA, pose(**view), board), (0, 0), 0.7), snr=40)
+    return exposed(cv2.GaussianBlur(light_of(CAMERA, pose(**view), board, rays=2), (0, 0), 0.7), snr=40)
 
 
 @cache
