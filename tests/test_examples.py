@@ -21,6 +21,7 @@ from small_headsets import changed_device
 import wlr_render as wlr
 from wlr_render.bench.bench import Bench
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
+from wlr_render.diagnosis import improvement
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.extras import install_command
 from wlr_render.gl.native_contexts import OsMesaBinding
@@ -62,7 +63,7 @@ def low_degrees(patch: pytest.MonkeyPatch, folder: object) -> None:
 
 
 def few_readings(patch: pytest.MonkeyPatch, folder: object) -> None:
-    """A third of the captures of a session, half of the readings of each, and few causes."""
+    """A third of the captures of a session, half of the readings of each, few causes, and small models in use."""
     load_session = wlr.load_session
 
     def third_of_session(path: str | Path) -> tuple[Bench, Session]:
@@ -76,6 +77,7 @@ def few_readings(patch: pytest.MonkeyPatch, folder: object) -> None:
     patch.setattr(wlr, "load_session", third_of_session)
     causes = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_translation")}
     patch.setattr(wlr, "diagnose", partial(wlr.diagnose, causes=causes))
+    patch.setattr(improvement, "_ROWS", 800)
 
 
 def small_panels(patch: pytest.MonkeyPatch, folder: Path) -> None:

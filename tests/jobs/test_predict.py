@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from memo import memoised, shared_folder
 from oracle import captures as oracle_captures
 from oracle.captures import Plan
 from oracle.effects import Effect
@@ -34,22 +35,30 @@ EFFECTS = [
 OTHER_TURNS = ((4.0, -7.0, 20.0), (-8.0, 3.0, -15.0), (2.0, 9.0, 10.0))
 
 
-@pytest.fixture(scope="module")
-def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a session of a faulty bench."""
-    folder = tmp_path_factory.mktemp("first") / "first"
-    write_session(folder, PLAN, EFFECTS, np.random.default_rng(2))
-    return folder
-
-
-@pytest.fixture(scope="module")
-def corrected(first: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the same session with the bench that its diagnosis corrected."""
-    nominal, session = load_session(first)
+def faulty_and_corrected(folder: Path) -> tuple[Path, Path]:
+    """Folders of a session of a faulty bench, and of the same with the bench that its diagnosis corrected."""
+    write_session(folder / "first", PLAN, EFFECTS, np.random.default_rng(2))
+    nominal, session = load_session(folder / "first")
     causes = {name: CAUSES[name] for name in ("target_scale", "combiner_tilt", "camera_focal_length")}
     found = diagnose(nominal, session, causes=causes, settings=Settings(subsample=3000))
     assert {cause.name for cause in found.causes} == {"target_scale", "combiner_tilt"}
-    return save_session(tmp_path_factory.mktemp("corrected") / "corrected", found.corrected, session)
+    return folder / "first", save_session(folder / "corrected", found.corrected, session)
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    shared = shared_folder(tmp_path_factory)
+    return memoised(faulty_and_corrected, shared)(shared / "predict")
+
+
+@pytest.fixture(scope="module")
+def first(both: tuple[Path, Path]) -> Path:
+    return both[0]
+
+
+@pytest.fixture(scope="module")
+def corrected(both: tuple[Path, Path]) -> Path:
+    return both[1]
 
 
 @pytest.fixture(scope="module")

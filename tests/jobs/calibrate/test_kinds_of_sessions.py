@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from memo import memoised, shared_folder
 from present import narrowed, present
 from small_photo_session import with_stated_lenses
 
@@ -55,8 +56,12 @@ def with_known_lenses(made: SimulatedReadings) -> PhotoSession:
 
 
 @pytest.fixture(scope="module")
-def usual() -> SimulatedReadings:
-    made = simulated()
+def made(tmp_path_factory: pytest.TempPathFactory) -> SimulatedReadings:
+    return memoised(simulated, shared_folder(tmp_path_factory))()
+
+
+@pytest.fixture(scope="module")
+def usual(made: SimulatedReadings) -> SimulatedReadings:
     return replace(made, session=with_known_lenses(made))
 
 
@@ -91,8 +96,10 @@ def test_see_through_alone(usual: SimulatedReadings, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("known_lens", [False, True])
-def test_display_alone_in_the_frame_of_the_camera(usual: SimulatedReadings, tmp_path: Path, known_lens: bool) -> None:
-    bench, stated_lens = usual.truth.bench, with_stated_lenses(simulated().session).eyeball_camera
+def test_display_alone_in_the_frame_of_the_camera(
+    made: SimulatedReadings, usual: SimulatedReadings, tmp_path: Path, known_lens: bool
+) -> None:
+    bench, stated_lens = usual.truth.bench, with_stated_lenses(made.session).eyeball_camera
     gauge = transforms.OPENXR_FROM_OPENCV @ bench.device_from_camera[:3, :3].T
     axes = tuple(StageAxis("linear", gauge @ (axis / np.linalg.norm(axis)), 5e-3) for axis in bench.stage_axes.T)
     # With a known lens no board was ever photographed.

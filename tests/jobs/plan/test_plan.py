@@ -1,6 +1,6 @@
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from wlr_render.captures.feature_captures import CommonErrors
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.places_file import places_csv
+from wlr_render.jobs.plan import next_places
 from wlr_render.jobs.plan import plan as plan_job
 from wlr_render.jobs.plan.plan import PLACES_FILE, PlanOptions, plan
 from wlr_render.mappings import EyeBox
@@ -286,14 +287,29 @@ def load_box() -> EyeBox:
 
 
 @pytest.fixture(scope="module")
-def calibration(bench: PlannedBench, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def calibration(bench: PlannedBench, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A calibration from places of the left half of the eye box alone, whose captures share errors of the lens."""
     folder = tmp_path_factory.mktemp("calibration")
     unit = of_family(bench, 12).unit * [0.5, 1.0, 1.0] - [0.5, 0.0, 0.0]
     captures = simulated_captures(bench, unit, 5)
     display, see_through = captures.both
     Captures(_with_lens_error(display), _with_lens_error(see_through)).save(folder / "captures-right.npz")
-    return folder
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("fit_display", "fit_see_through"):
+            patch.setattr(next_places, name, first_result(getattr(next_places, name)))
+        yield folder
+
+
+def first_result(fit: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that fits once: all plans here are of the same captures."""
+    kept: list[Any] = []
+
+    def fitted(captures: AnyCaptures) -> Any:
+        if not kept:
+            kept.append(fit(captures))
+        return kept[0]
+
+    return fitted
 
 
 def _with_lens_error(captures: AnyCaptures) -> AnyCaptures:
