@@ -206,11 +206,11 @@ def test_the_verdict_tells_the_nominal_field_from_the_whole_panel(calibrated: tu
 def test_stage_error_spoils_the_calibration_by_its_pupil_swim() -> None:
     eye = traced_eye(load_device("birdbath28"))
     shown = present(simulate_captures(eye, replace(SMALL, noise_arcmin=0.1, repeatability_um=300.0)).display)
-    spoiled = fit_display(thinned(shown), "planar", 4).mapping
+    spoiled = fit_display(thinned(shown), "planar", 5).mapping
     error = mapping_error.display_error(spoiled, TruthTests.of(eye, [SMALL.seed, 1]).display).forward_arcmin
-    # Of an exact stage it is less than half an arcminute, see above. 0.3 mm per axis at 6.3 arcmin per mm; twelve
-    # positions hardly average it, and some pixels need extrapolation.
-    assert 0.5 < np.sqrt(np.nanmean(error**2)) < 10.0
+    # Of an exact stage the median is 0.06'. 0.3 mm per axis at 6.3 arcmin per mm, which twelve positions hardly
+    # average; the rms is that of some pixels that need extrapolation.
+    assert 0.5 < np.nanmedian(error) < 2.0
 
 
 def test_predicted_errors_stand_beside_the_true_ones(calibrated: tuple[Path, Report]) -> None:
