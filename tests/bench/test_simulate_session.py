@@ -21,7 +21,6 @@ from wlr_render.bench.simulate_session import (
     Views,
     decoded,
     simulate,
-    simulate_to_first_order,
     undecoded,
 )
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, SessionPlan
@@ -316,16 +315,3 @@ class TestNeighbours:
         np.testing.assert_allclose(
             present(simulate(bench, session, Views(fast)).dot_pixel), dots(bench, plan), atol=1e-8
         )
-
-    def test_one_step_from_a_neighbour_errs_by_the_square_of_the_change(self) -> None:
-        bench = bench_with("northstar")
-        plan = plan_of(bench)
-        views = Views.of(bench, plan)
-        errors = []
-        for size in (8e-3, 4e-3, 2e-3):
-            changed = with_camera(bench, pupil_offset=size * np.array([1.0, 0.5, -0.5]))
-            near, full = simulate_to_first_order(changed, plan, views), simulate(changed, plan)
-            np.testing.assert_array_equal(near.panel_pixel, full.panel_pixel)
-            errors.append(np.abs(present(near.dot_pixel) - present(full.dot_pixel)).max())
-        assert errors[-1] > 1e-6  # far above rounding
-        np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 4.0, rtol=0.15)

@@ -15,9 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.session_folder import load_session
-from wlr_render.bench.simulate_session import Views, simulate
-from wlr_render.captures.session import DisplayPlan, Readings, SessionPlan
-from wlr_render.diagnosis import prediction
+from wlr_render.captures.session import DisplayPlan, SessionPlan
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import EXPLAINED, LOCATED, NO_EFFECT
 from wlr_render.diagnosis.fit import few_captures_factor
@@ -162,20 +160,6 @@ def test_clean_sessions_with_more_noise_than_stated_are_not_unexplained(
 ) -> None:
     found = diagnosed(measured(bench, plan, larger * SIGMA_PX, seed=31), ("target_scale", "stage_scale"))
     assert found.verdict == NO_EFFECT
-
-
-def test_the_nominal_bench_is_simulated_once(bench: Bench, plan: SessionPlan, monkeypatch: pytest.MonkeyPatch) -> None:
-    observations = measured(bench, plan, SIGMA_PX, seed=32)
-    count: list[Bench] = []
-
-    def counted(which: Bench, what: SessionPlan, views: Views | None = None) -> Readings:
-        if which is bench and what.display is not None:
-            count.append(which)
-        return simulate(which, what, views)
-
-    monkeypatch.setattr(prediction, "simulate", counted)
-    diagnosed(observations, ("target_scale",))
-    assert len(count) == 1
 
 
 @pytest.mark.slow

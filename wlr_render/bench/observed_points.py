@@ -58,10 +58,6 @@ class ObservedPoints:
             inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
         return np.asarray(np.moveaxis(inverse, -1, 0))
 
-    def newton_step(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
-        """Return the tangents (n, 2) after one Newton step from a neighbouring bench's, exact to first order."""
-        return np.asarray(tangents - np.einsum("nij,nj->ni", tangents_from_miss, self.miss(tangents)))
-
     def solved_from(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
         """Take Newton steps until the tangents (n, 2) converge; rows that fail to are solved from a cold start.
 

@@ -11,7 +11,7 @@ from wlr_render.bench.bench_effects import DOT, LATE, PUPIL, RUN_TIME_KINDS, TUR
 from wlr_render.captures.session import RunTimePlan
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import inverse, rotations_of_vectors
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 
 _STRAIGHT_AHEAD = np.array([0.0, 0.0, -1.0])
@@ -60,13 +60,6 @@ class RunTimeViews:
     def drawn_at(self) -> FloatArray:
         """Panel pixels (n, 2) of the virtual dots, drawn for the tracked viewpoint and head pose."""
         return self._seen.drawn_at
-
-    def of_rows(self, plan: RunTimePlan, rows: BoolArray) -> "RunTimeViews":
-        """Return the views of some rows (n,); `plan` consists of these rows."""
-        some, seen = RunTimeViews(self.bench, plan), self._seen
-        starts = tuple(None if start is None else start[rows] for start in seen.starts)
-        some.__dict__["_seen"] = _Seen(seen.pixel[rows], seen.drawn_at[rows], starts)
-        return some
 
     @cached_property
     def _seen(self) -> _Seen:

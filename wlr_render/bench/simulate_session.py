@@ -14,7 +14,7 @@ from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, S
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.transforms import inverse, rotations_of_vectors
 from wlr_render.mappings import Status
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.combiner_form import places_on_combiner
 from wlr_render.optics.traced_mappings import TracedDisplay
 
@@ -52,12 +52,6 @@ class DotViews:
         """Inverse Jacobian (n, 2, 2) of the solve."""
         return _observed_points(self.bench, self.plan).tangents_from_miss(self.tangents)
 
-    def of_rows(self, plan: SeeThroughPlan, rows: BoolArray) -> "DotViews":
-        """Return the views of some rows (n,); `plan` consists of these rows."""
-        some = DotViews(self.bench, plan)
-        some.__dict__["tangents"] = self.tangents[rows]
-        return some
-
 
 @dataclass(frozen=True, eq=False)
 class Views:
@@ -91,21 +85,6 @@ def simulate(bench: Bench, plan: SessionPlan, views: Views | None = None) -> Rea
     views, dots = views or Views.of(bench, plan), None
     if plan.see_through is not None and views.dots is not None:
         dots = dot_pixels(bench, plan.see_through, views.dots.tangents)
-    return _with_dots(bench, plan, dots, views)
-
-
-@_QUIET
-def simulate_to_first_order(bench: Bench, plan: SessionPlan, near: Views) -> Readings:
-    """Predict every reading to first order in the change from a neighbouring bench, given its views."""
-    dots = None
-    if plan.see_through is not None and near.dots is not None:
-        points = _observed_points(bench, plan.see_through)
-        tangents = points.newton_step(near.dots.tangents, near.dots.tangents_from_miss)
-        dots = dot_pixels(bench, plan.see_through, tangents)
-    return _with_dots(bench, plan, dots, Views.of(bench, SessionPlan(run_time=plan.run_time), near))
-
-
-def _with_dots(bench: Bench, plan: SessionPlan, dots: FloatArray | None, views: Views) -> Readings:
     return Readings(
         None if plan.display is None else panel_pixels(bench, plan.display),
         dots,

@@ -108,8 +108,7 @@ def fit(
         iterations: largest number of Gauss-Newton steps.
         vary_scatter: False if the sizes of noise and motions are known.
         at: the linearisation at the start, if known.
-        roughly: whether to reuse derivatives while steps gain as predicted, and otherwise to update only the last
-            cause's: accurate enough to compare fits.
+        roughly: whether to reuse derivatives while steps gain as predicted: accurate enough to compare fits.
     """
     at = at or readings.predictor.linearised(start)
     if not np.isfinite(at.residual).all():
@@ -140,8 +139,6 @@ def _settled(
         all_known = at.free.size == sum(each.role is not Role.TIME for each in at.explanation.parameters())
         if gained < enough or (as_promised and all_known):
             at = replace(at, explanation=explanation, state=state, residual=predictor.residual_of(state))
-        elif roughly:
-            at = predictor.extended(at, state, explanation)
         else:
             at = predictor.linearised(explanation, state)
         if gained < enough:

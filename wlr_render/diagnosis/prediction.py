@@ -1,12 +1,12 @@
 """Predicted readings of a bench with causes applied, and their derivatives with respect to the causes' values."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from wlr_render.bench.bench import Bench
-from wlr_render.bench.simulate_session import Views, simulate, simulate_to_first_order
+from wlr_render.bench.simulate_session import Views, simulate
 from wlr_render.captures.session import Readings, Session, SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter, Perturb, Role
 from wlr_render.diagnosis.observations import (
@@ -16,7 +16,6 @@ from wlr_render.diagnosis.observations import (
     SEE_THROUGH,
     Observations,
     observed,
-    readings_of_rows,
 )
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
@@ -179,8 +178,7 @@ class Predictor:
 
     def of_rows(self, keep: BoolArray) -> "Predictor":
         """Return the predictor of the readings in a mask (n,)."""
-        observations, masks = self.observations.of_rows(keep), self.observations.masks(keep)
-        return Predictor(observations, _state_of_rows(self._nominal, observations.session.plan, masks))
+        return Predictor(self.observations.of_rows(keep))
 
     def residual(self, explanation: Explanation) -> FloatArray:
         """Return measured minus predicted (n, 2), in units of sigma."""
@@ -188,9 +186,7 @@ class Predictor:
 
     def residual_of_bench(self, bench: Bench) -> FloatArray:
         """Return measured minus predicted (n, 2), in units of sigma, for any bench of the same headset."""
-        near, todo = self._nominal, self._touched(bench, self._nominal)
-        views = Views.of(bench, todo, near.views)
-        return self.observations.residual(_merged(simulate(bench, todo, views), near.readings))
+        return self.residual_of(self._simulated(bench, self._nominal))
 
     def residual_of(self, state: State) -> FloatArray:
         """Return measured minus predicted (n, 2), in units of sigma, for a state."""
@@ -203,30 +199,34 @@ class Predictor:
         """
         near = near or self._nominal
         try:
-            bench = explanation.bench(self.observations.nominal)
-            todo = self._touched(bench, near)
-            views = Views.of(bench, todo, near.views)
-            return State(bench, _merged(simulate(bench, todo, views), near.readings), views)
+            return self._simulated(explanation.bench(self.observations.nominal), near)
         except BadInputError:
             return replace(near, readings=_lost(near.readings))
 
     def linearised(self, explanation: Explanation, state: State | None = None) -> Linearisation:
-        """Return residual and Jacobian at an explanation, by forward differences; its state may be given."""
-        return self._differences(explanation, 0, state or self.state(explanation))
-
-    def added(self, state: State, explanation: Explanation) -> Linearisation:
-        """Return the linearisation by the parameters of an explanation's last cause only.
+        """Return residual and Jacobian at an explanation, by forward differences.
 
         Args:
-            state: state of the explanation; without its last cause while that has no effect.
             explanation: the explanation.
+            state: its state, if known; that without its last cause will do while that cause has no effect.
         """
-        return self._differences(explanation, len(explanation.vector()) - len(explanation.values[-1]), state)
+        base = state or self.state(explanation)
+        residual, vector, columns, free = self.residual_of(base), explanation.vector(), [], []
+        for number, parameter in enumerate(explanation.parameters()):
+            if parameter.role is Role.TIME:
+                continue
+            moved = vector.copy()
+            moved[number] += _STEP * parameter.prior_sigma
+            by_step = self._by_step(base, residual, lambda bench, vector: explanation.at(vector).bench(bench), moved)
+            if _acts(by_step):
+                columns.append(by_step / _STEP)
+                free.append(number)
+        jacobian = np.stack(columns, axis=-1) if columns else np.zeros((*residual.shape, 0))
+        return Linearisation(explanation, base, residual, jacobian, np.array(free, dtype=np.int64))
 
     def signature(self, hypothesis: Hypothesis, values: FloatArray | None = None) -> Linearisation:
         """Return the linearisation by the parameters of one cause alone, by default at its null values."""
-        explanation = Explanation().plus(hypothesis, values)
-        return self.added(self.state(Explanation()), explanation)
+        return self.linearised(Explanation().plus(hypothesis, values), self._nominal)
 
     def lever(self, change: Perturb, steps: FloatArray) -> FloatArray:
         """Return the derivative (n, 2, k) of the readings, in sigma, by each value (k,) of a change of the bench.
@@ -242,43 +242,22 @@ class Predictor:
             columns.append(by_step / values.sum() if _acts(by_step) else np.zeros_like(residual))
         return np.stack(columns, axis=-1)
 
-    def extended(self, old: Linearisation, state: State, explanation: Explanation) -> Linearisation:
-        """Return the linearisation by all parameters, with the derivatives of all causes except the last from `old`.
-
-        Args:
-            old: a linearisation, with or without the last cause.
-            state, explanation: as in `added`.
-        """
-        last = self.added(state, explanation)
-        same = old.free < len(explanation.vector()) - len(explanation.values[-1])
-        jacobian = np.concatenate([old.jacobian[:, :, same], last.jacobian], axis=2)
-        return replace(last, jacobian=jacobian, free=np.concatenate([old.free[same], last.free]))
-
-    def _differences(self, explanation: Explanation, first: int, base: State) -> Linearisation:
-        residual, vector, columns, free = self.residual_of(base), explanation.vector(), [], []
-        for number, parameter in list(enumerate(explanation.parameters()))[first:]:
-            if parameter.role is Role.TIME:
-                continue
-            moved = vector.copy()
-            moved[number] += _STEP * parameter.prior_sigma
-            by_step = self._by_step(base, residual, lambda bench, vector: explanation.at(vector).bench(bench), moved)
-            if _acts(by_step):
-                columns.append(by_step / _STEP)
-                free.append(number)
-        jacobian = np.stack(columns, axis=-1) if columns else np.zeros((*residual.shape, 0))
-        return Linearisation(explanation, base, residual, jacobian, np.array(free, dtype=np.int64))
-
     def _by_step(self, base: State, residual: FloatArray, change: Perturb, values: FloatArray) -> FloatArray:
-        """Return the change (n, 2) of the readings from a state to a changed nominal bench, to first order, in sigma.
+        """Return the change (n, 2) of the readings from a state to a changed nominal bench, in sigma.
 
         The change is zero for a reading that the step loses, and for a bench that cannot exist.
         """
         try:
-            bench = change(self.observations.nominal, values)
-            found = simulate_to_first_order(bench, self._touched(bench, base), base.views)
+            moved = self._simulated(change(self.observations.nominal, values), base)
         except BadInputError:
             return np.zeros_like(residual)
-        return np.nan_to_num(residual - self.observations.residual(_merged(found, base.readings)))
+        return np.nan_to_num(residual - self.residual_of(moved))
+
+    def _simulated(self, bench: Bench, near: State) -> State:
+        """Return the state of a bench, starting from a known state."""
+        todo = self._touched(bench, near)
+        views = Views.of(bench, todo, near.views)
+        return State(bench, _merged(simulate(bench, todo, views), near.readings), views)
 
     def _touched(self, bench: Bench, near: State) -> SessionPlan:
         """Return the parts of the session whose readings may differ between a bench and a state."""
@@ -312,16 +291,6 @@ def _acts(by_step: FloatArray) -> bool:
 def _nominal_state(nominal: Bench, plan: SessionPlan) -> State:
     views = Views.of(nominal, plan)
     return State(nominal, simulate(nominal, plan, views), views)
-
-
-def _state_of_rows(state: State, plan: SessionPlan, masks: Sequence[BoolArray]) -> State:
-    """Return the state of the rows selected by each part's mask; `plan` has only these rows."""
-    dots, run_time = state.views.dots, state.views.run_time
-    some = Views(
-        None if plan.see_through is None or dots is None else dots.of_rows(plan.see_through, masks[SEE_THROUGH]),
-        None if plan.run_time is None or run_time is None else run_time.of_rows(plan.run_time, masks[RUN_TIME]),
-    )
-    return State(state.bench, readings_of_rows(state.readings, masks), some)
 
 
 def _merged(found: Readings, old: Readings) -> Readings:

@@ -206,7 +206,7 @@ class _Screening:
 def best_fit(readings: WeighedReadings, current: Fit, screened: ScreenedHypothesis) -> Fit | None:
     """Fit an explanation with one more cause, roughly, from the screened start."""
     corrected = current.explanation.plus(screened.hypothesis, screened.start)
-    at = readings.predictor.extended(current.at, current.at.state, corrected)
+    at = readings.predictor.linearised(corrected, current.at.state)
     return fit(readings, corrected, screened.scatter, at=at, roughly=True)
 
 

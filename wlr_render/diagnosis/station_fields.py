@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from wlr_render.bench.simulate_run_time import places_by_plan
-from wlr_render.bench.simulate_session import camera_positions, dot_pixels, simulate_to_first_order
+from wlr_render.bench.simulate_session import Views, camera_positions, dot_pixels, simulate
 from wlr_render.captures.session import Readings, SeeThroughPlan, SessionPlan
 from wlr_render.diagnosis.cause import changed
 from wlr_render.diagnosis.combiner_fields import combiner_fields
@@ -193,8 +193,8 @@ def dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
     here = dot_pixels(state.bench, plan, state.views.dots.tangents)
     columns = []
     for step in _STEP_M * np.eye(3):
-        moved = replace(plan, dot=plan.dot + step[:2], height=height + step[2])
-        seen = simulate_to_first_order(state.bench, SessionPlan(see_through=moved), state.views).dot_pixel
+        moved = SessionPlan(see_through=replace(plan, dot=plan.dot + step[:2], height=height + step[2]))
+        seen = simulate(state.bench, moved, Views.of(state.bench, moved, state.views)).dot_pixel
         assert seen is not None
         columns.append((seen - here) * (1e-3 / _STEP_M))
     return np.nan_to_num(np.stack(columns, axis=-1)) / predictor.observations.sigma_of(SEE_THROUGH)[:, :, None]
