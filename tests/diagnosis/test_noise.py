@@ -83,6 +83,9 @@ def test_noise_a_little_larger_than_stated_is_found_and_not_called_unbelievable(
     assert np.mean(nearer) > 0.9 or larger > 1.0
     believed = np.mean([floor.is_believable for floor in found])
     assert believed > 0.95 or larger > 1.0
+    # Of white noise each floor has a rim, factors and a share in 1 of 20 draws at most.
+    for wrong in (lambda f: f.rim_factor != 1.0, lambda f: f.shared != 0.0, lambda f: f.photographs_differ > 0.15):
+        assert sum(map(wrong, found)) <= len(found) // 20
 
 
 def test_a_stated_sigma_weighs_as_one_that_is_known_to_a_tenth(bench: Bench, plan: SessionPlan) -> None:
@@ -106,15 +109,13 @@ def natural(clean: Observations, seed: int, **imperfections: Any) -> NDArray[Any
     return np.asarray(noise)
 
 
-@pytest.mark.parametrize("tails", [np.inf, 4.0])
 @pytest.mark.slow
-def test_a_white_session_has_no_rim_no_factors_and_shares_nothing(clean: Observations, tails: float) -> None:
-    """Also where noise has the tails of Student's t, which is in no part of the model; each may err in 1 of 20."""
-    found = [floor for seed in range(12) for floor in noise_of(clean, natural(clean, seed, t_dof=tails)).floors]
-    most = 1 if np.isinf(tails) else 4
-    assert sum(floor.rim_factor != 1.0 for floor in found) <= most
-    assert sum(floor.shared != 0.0 for floor in found) <= most
-    assert sum(floor.photographs_differ > 0.15 for floor in found) <= most
+def test_white_noise_with_tails_has_no_rim_no_factors_and_shares_nothing(clean: Observations) -> None:
+    """The tails of Student's t are in no part of the model; without them, see above."""
+    found = [floor for seed in range(12) for floor in noise_of(clean, natural(clean, seed, t_dof=4.0)).floors]
+    assert sum(floor.rim_factor != 1.0 for floor in found) <= 4
+    assert sum(floor.shared != 0.0 for floor in found) <= 4
+    assert sum(floor.photographs_differ > 0.15 for floor in found) <= 4
 
 
 def test_photographs_that_are_noisier_are_found_with_their_factor(clean: Observations) -> None:

@@ -112,21 +112,6 @@ def test_what_stripes_do_is_not_called_noise(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_factory_calibrations_show_is_found_with_its_size(bench: Bench, plan: SessionPlan) -> None:
-    """A panel that is wider than high, and colours apart by more than a magnification, on a shaky stage (seed 11)."""
-    names = ("frame_bend", "panel_scale", "lateral_colour")
-    truth: dict[str, Any] = {"panel_scale": [0.2, -0.1], "lateral_colour": [0.1, -0.1, 1.0, -0.5, -1.5, 0.8]}
-    rng = np.random.default_rng(11)
-    read = with_noise(with_jitter(measured(bench, plan, **truth), bench, 8.0, rng), SIGMA_PX, rng)
-    found = {cause.name: cause.parameters for cause in diagnosed(read, names).causes}
-    assert set(found) == set(truth)
-    for name, values in truth.items():
-        for parameter, true in zip(found[name], values, strict=True):
-            assert abs(parameter.value - true) < 4 * parameter.sigma
-            assert parameter.sigma < 0.05
-
-
-@pytest.mark.slow
 def test_a_bent_frame_of_an_independent_simulator_is_found_with_both_eyes(tmp_path: Path) -> None:
     bend = Effect("frame_bend", {"toe_in_deg": 0.2, "twist_deg": -0.1})
     write_session(tmp_path, Plan(grid=(12, 9), dots=(5, 4)), [bend], np.random.default_rng(12))
