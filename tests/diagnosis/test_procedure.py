@@ -11,12 +11,10 @@ from oracle.captures import Plan
 from oracle.effects import Effect
 from oracle.session_writer import write_session
 from present import present
-from scipy.spatial.transform import Rotation
 
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.session_folder import load_session
 from wlr_render.captures.session import DisplayPlan, SessionPlan
-from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import EXPLAINED, LOCATED, NO_EFFECT
 from wlr_render.diagnosis.fit import few_captures_factor
 from wlr_render.diagnosis.observations import DISPLAY
@@ -25,7 +23,6 @@ from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.report import Diagnosis
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.device import EyeOptics
 
 
 def test_the_record_of_an_explained_session_holds_the_truth(explained: Diagnosis) -> None:
@@ -109,29 +106,6 @@ def test_what_stripes_do_is_not_called_noise(tmp_path: Path) -> None:
     (floor,) = [each for each in found.noise_floors if each.part == "display"]
     assert [effect.station for effect in found.effects[:2]] == ["panel", "panel"]
     assert floor.used_px == pytest.approx(floor.stated_px, rel=0.1)
-
-
-@pytest.mark.slow
-def test_a_bent_frame_of_an_independent_simulator_is_found_with_both_eyes(tmp_path: Path) -> None:
-    bend = Effect("frame_bend", {"toe_in_deg": 0.2, "twist_deg": -0.1})
-    write_session(tmp_path, Plan(grid=(12, 9), dots=(5, 4)), [bend], np.random.default_rng(12))
-    bench, session = load_session(tmp_path)
-    causes = {name: CAUSES[name] for name in ("frame_bend", "panel_shift", "combiner_tilt", "camera_rotation")}
-    said = diagnose(bench, session, causes=causes, settings=Settings(subsample=1200))
-    (cause,) = said.causes
-    assert cause.name == "frame_bend"
-    for parameter, true in zip(cause.parameters, (0.2, -0.1), strict=True):
-        assert abs(parameter.value - true) < 4 * parameter.sigma
-    eyes = said.corrected.device.eyes
-    toe_in = {side: np.rad2deg(_turned_by(eyes[side], bench.device.eyes[side])[1]) for side in eyes}
-    assert toe_in["right"] == pytest.approx(0.2, abs=0.01)
-    assert all(abs(each) == pytest.approx(0.2, abs=0.01) for each in toe_in.values())
-
-
-def _turned_by(new: EyeOptics, old: EyeOptics) -> FloatArray:
-    """Rotation vector of a panel's motion."""
-    rotation = (new.panel.device_from_panel @ old.panel.panel_from_device)[:3, :3]
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 def test_a_clean_session_has_detection_limits(nothing: Diagnosis) -> None:

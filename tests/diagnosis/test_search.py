@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,9 +17,14 @@ from diagnosis.small_session import (
     with_jitter,
     with_noise,
 )
+from oracle.captures import Plan
+from oracle.effects import Effect
+from oracle.session_writer import write_session
 from present import present
+from scipy.spatial.transform import Rotation
 
 from wlr_render.bench.bench import Bench
+from wlr_render.bench.session_folder import load_session
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
 from wlr_render.diagnosis.cause_selection import CandidateRanking, Search, Selection
@@ -28,7 +34,9 @@ from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.screening import Signatures, best_fit, hypotheses, screen
 from wlr_render.diagnosis.settings import Settings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.scatter import Scatter
+from wlr_render.optics.device import EyeOptics
 
 Part = TypeVar("Part", DisplayPlan, SeeThroughPlan)
 
@@ -79,6 +87,28 @@ def test_what_factory_calibrations_show_is_found_with_its_size(bench: Bench, pla
     true = np.concatenate([truth[name] for name in found.explanation.names])
     np.testing.assert_array_less(np.abs(found.explanation.vector() - true), 4 * found.sigmas())
     assert found.sigmas().max() < 0.05
+
+
+@pytest.mark.slow
+def test_a_bent_frame_of_an_independent_simulator_is_found_with_both_eyes(tmp_path: Path) -> None:
+    bend = Effect("frame_bend", {"toe_in_deg": 0.2, "twist_deg": -0.1})
+    write_session(tmp_path, Plan(grid=(12, 9), dots=(5, 4)), [bend], np.random.default_rng(12))
+    bench, session = load_session(tmp_path)
+    observations = Predictor.of_session(bench, session).observations
+    names = ("frame_bend", "panel_shift", "combiner_tilt", "camera_rotation")
+    found = searching(observations, names, 1200).select().fit
+    assert found.explanation.names == ("frame_bend",)
+    np.testing.assert_array_less(np.abs(found.explanation.vector() - [0.2, -0.1]), 4 * found.sigmas())
+    eyes = found.explanation.bench(bench).device.eyes
+    toe_in = {side: np.rad2deg(_turned_by(eyes[side], bench.device.eyes[side])[1]) for side in eyes}
+    assert toe_in["right"] == pytest.approx(0.2, abs=0.01)
+    assert all(abs(each) == pytest.approx(0.2, abs=0.01) for each in toe_in.values())
+
+
+def _turned_by(new: EyeOptics, old: EyeOptics) -> FloatArray:
+    """Rotation vector of a panel's motion."""
+    rotation = (new.panel.device_from_panel @ old.panel.panel_from_device)[:3, :3]
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 @pytest.mark.slow
