@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.simulated_lab.drawn_target import target_scene, wholly_shown
 from benchmarks.simulated_lab.lab_options import SimulatedLabOptions, TargetPose
+from benchmarks.simulated_lab.later_places import later_visits, target_at
 from benchmarks.simulated_lab.recipe_file import load_recipe
 from benchmarks.simulated_lab.registration_photographs import (
     Frames,
@@ -49,8 +50,8 @@ from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Block, Plot, ReportTable
 from wlr_render.report.plots import curves
-from wlr_render.simulation.photographs.photo_bench import PhotoBench, target_at
-from wlr_render.simulation.photographs.photo_plan import Visit, later_visits
+from wlr_render.simulation.photographs.photo_bench import PhotoBench
+from wlr_render.simulation.photographs.photo_plan import Visit
 from wlr_render.simulation.photographs.take_photographs import PanelShots
 from wlr_render.simulation.viewpoints import random_in_eye_box
 from wlr_render.work.progress import Progress

@@ -17,7 +17,7 @@ from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.board_light import BoardLight
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, design_photo_bench
-from wlr_render.simulation.photographs.photo_plan import later_visits, plan_photographs, true_camera_poses
+from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 
 NONE = BenchImperfections.none()
@@ -112,16 +112,6 @@ def test_the_stage_errs_and_the_camera_warms_up(bench: PhotoBench, perfect: Phot
     shift, turn = motions(only(bench), perfect)
     assert np.abs(shift).max() == 0.0
     np.testing.assert_allclose(turn, np.broadcast_to(np.eye(3), turn.shape), atol=1e-15)
-
-
-def test_later_visits_are_those_of_a_warm_camera(bench: PhotoBench, perfect: PhotoBench) -> None:
-    at = np.array([[0.001, 0.0, 0.0], [-0.002, 0.001, 0.0]])
-    warm, cold = (later_visits(each, at, np.random.default_rng(1)) for each in (only(bench, "drift"), perfect))
-    turn = [
-        one.device_from_camera[:3, :3] @ two.device_from_camera[:3, :3].T for one, two in zip(warm, cold, strict=True)
-    ]
-    np.testing.assert_allclose(turn[0], turn[1], atol=1e-12)
-    assert np.abs(turn[0] - np.eye(3)).max() > 1e-6
 
 
 def test_sizes_of_polynomials_are_refused_with_a_workshop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

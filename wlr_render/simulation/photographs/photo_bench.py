@@ -293,22 +293,6 @@ def _imperfect(sensor: Sensor, sizes: BenchImperfections, rng: np.random.Generat
     return replace(sensor, gamma=gamma, black_clip=sizes.black_clip)
 
 
-def target_at(bench: PhotoBench, depth_m: float, tilt_deg: float = 0.0, shift_m: float = 0.0) -> FloatArray:
-    """Return device_from_target (4, 4) of a target in front of the display's field at any depth.
-
-    Args:
-        bench: the bench.
-        depth_m: depth along the middle of the view.
-        tilt_deg: further rotation about the vertical axis of the view.
-        shift_m: displacement to the right; the downward displacement is half as large.
-    """
-    aim = _Aim.at(traced_eye(bench.device, bench.eye))
-    pose = _target_pose(aim, bench.optics.eye_box.centre, depth_m)
-    shift = aim.device_from_looking @ [shift_m, 0.5 * shift_m, 0.0]
-    turn = aim.device_from_looking @ _turned(0.0, -tilt_deg, 0.0) @ aim.device_from_looking.T
-    return transforms.rigid(turn @ pose[:3, :3], pose[:3, 3] + shift) if tilt_deg or shift_m else pose
-
-
 def stage_readings(bench: PhotoBench, count: int) -> FloatArray:
     """Return readings (count, 3) that cover the base plane or the eye box, rounded to micrometres as on a stage.
 

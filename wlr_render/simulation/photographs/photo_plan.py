@@ -34,7 +34,7 @@ _FILL = (0.75, 1.1)  # alternating sizes of the board in the picture, as shares 
 _PLACES, _TURNS, _READINGS, _CREEP, _STATED = 17, 18, 19, 20, 22  # streams of random numbers
 _CREEP_TIME = 0.3  # time constant of the creep, as a share of the session
 _VISIT_S = 30.0  # time from one visit to the next
-_READING_DIGITS = 8  # decimals of a reading in metres, for an encoder of 10 nm
+READING_DIGITS = 8  # decimals of a reading in metres, for an encoder of 10 nm
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,9 +180,9 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
     position = commanded.copy()
     position[drawn] += place.normal(0.0, 1e-6 * sizes.repeatability_um, commanded.shape)
     turns = turn.normal(0.0, 1e-6 * sizes.turn_jitter_urad, commanded.shape)
-    error = np.concatenate([turns, np.outer(_creep(taken), _whole_creep(bench))], axis=1)
+    error = np.concatenate([turns, np.outer(_creep(taken), whole_creep(bench))], axis=1)
     error += bench.workshop_motion(commanded, taken / max(1, len(taken) - 1))
-    stated = commanded + np.round(reading.normal(0.0, 1e-6 * sizes.readback_um, commanded.shape), _READING_DIGITS)
+    stated = commanded + np.round(reading.normal(0.0, 1e-6 * sizes.readback_um, commanded.shape), READING_DIGITS)
     times = [None] * len(taken) if bench.workshop is None else [_VISIT_S * float(number) for number in taken]
     visits = tuple(
         Visit(row[:axes], bench.camera_at(at, off), time_s=time_s)
@@ -192,25 +192,7 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
     return SessionVisits(visits[:bare_count], through, through[:places])
 
 
-def later_visits(bench: PhotoBench, commanded: FloatArray, rng: np.random.Generator) -> tuple[Visit, ...]:
-    """Return visits of the stage to commanded positions (n, 3) after the session, with random errors as in the session.
-
-    Axes that the stage lacks do not move. The creep keeps its value from the end of the session.
-    """
-    sizes, axes = bench.options.imperfections, len(bench.options.stage)
-    commanded = commanded * (np.arange(3) < axes)
-    place, turn, reading = 1e-6 * rng.standard_normal((3, *commanded.shape))
-    position = commanded + sizes.repeatability_um * place
-    stated = commanded + np.round(sizes.readback_um * reading, _READING_DIGITS)
-    creep = np.broadcast_to(_whole_creep(bench), commanded.shape)
-    error = np.concatenate([sizes.turn_jitter_urad * turn, creep], axis=1)
-    error += bench.workshop_motion(commanded, np.ones(len(commanded)), sweep=1)
-    return tuple(
-        Visit(row[:axes], bench.camera_at(at, off)) for row, at, off in zip(stated, position, error, strict=True)
-    )
-
-
-def _whole_creep(bench: PhotoBench) -> FloatArray:
+def whole_creep(bench: PhotoBench) -> FloatArray:
     """Return the thermal displacement (3,) of the stage, metres, from the first photograph to the last."""
     direction = np.random.default_rng([bench.options.seed, _CREEP, int(bench.eye == "left")]).standard_normal(3)
     return np.asarray(1e-6 * bench.options.imperfections.creep_um * direction / np.linalg.norm(direction))
