@@ -9,9 +9,11 @@
 uniform sampler2D slope_offset[CHANNELS];
 uniform bool has_row_matrices;
 uniform sampler2D row_matrices;  // image from ray, for each row of the grid; three texels per row
-uniform vec4 camera_matrix[3];   // image from ray, for all rows
-uniform vec2 size_px;  // size of the image
-uniform vec2 display_px_per_cell;
+// The inputs of a picture in one array, which one OpenGL call writes: the pictures of several eyes share the program.
+uniform vec4 inputs_of_picture[4];
+vec4 camera_matrix[3] = vec4[](inputs_of_picture[0], inputs_of_picture[1], inputs_of_picture[2]);  // image from ray, for all rows
+vec2 size_px = inputs_of_picture[3].xy;  // size of the image
+vec2 display_px_per_cell = inputs_of_picture[3].zw;
 uniform bool is_inset;
 uniform bool has_inset;
 uniform sampler2D inset_ranges;  // ranges of the next sharper picture

@@ -111,12 +111,13 @@ class OwnContext:
         Raises:
             BadInputError: another thread does not leave its block, or the context cannot be made current.
         """
-        with contextlib.ExitStack() as at_end:
-            at_end.enter_context(self._waited_for())
-            if not self._current.is_current():
-                is_host = self._host is not None and self._host.is_current()
-                restore = self._save()
-                at_end.callback(self._leave, restore, is_host, self._restore)
+        with self._waited_for():
+            if self._current.is_current():
+                yield
+                return
+            is_host = self._host is not None and self._host.is_current()
+            restore, before = self._save(), self._restore
+            try:
                 self._after_all_before(self._make_current, is_host)
                 if not self._current.is_current():
                     raise BadInputError(
@@ -124,7 +125,10 @@ class OwnContext:
                         "is current there, or adopt it (context='current')."
                     )
                 self._restore = restore if is_host else None
-            yield
+                yield
+            finally:
+                self._restore = before
+                self._after_all_before(restore, is_host and self._current.is_current())
 
     @contextlib.contextmanager
     def _waited_for(self) -> Iterator[None]:
@@ -137,10 +141,6 @@ class OwnContext:
             yield
         finally:
             self._in_use.release()
-
-    def _leave(self, restore: Callable[[], None], is_host: bool, before: Callable[[], None] | None) -> None:
-        self._restore = before
-        self._after_all_before(restore, is_host and self._current.is_current())
 
     def _after_all_before(self, switch: Callable[[], object], is_shared: bool) -> None:
         """Switch to another context; if the two share, its commands run after the commands of this context."""

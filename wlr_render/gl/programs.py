@@ -153,7 +153,7 @@ class TextureUnits:
         changed = [k for k, each in enumerate(textures) if k >= len(bound) or bound[k] is not each]
         if not changed:
             return
-        if self._bind is not None and len(changed) > 1:
+        if self._bind is not None:
             first, end = changed[0], changed[-1] + 1
             names = (ctypes.c_uint * (end - first))(*[each.glo for each in textures[first:end]])
             self._bind(first, end - first, ctypes.addressof(names))

@@ -74,19 +74,20 @@ class GlCells:
         # The tiles stay on their unit for the warp. Unused samplers share a texture, because none may read a target.
         unused = dict.fromkeys(("row_matrices", "inset_ranges"), rays[0])
         textures: dict[str, Any] = {"ranges": ranges.pyramid, "tiles": ranges.tiles, "slope_offset": rays, **unused}
+        inputs = np.zeros((4, 4))
         if by_rows:
             rows = self._targets.get("row matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
             rows.write(np.ascontiguousarray(matrices, np.float32))
             textures["row_matrices"] = rows
         else:
-            gl.set_array(program, "camera_matrix", matrices)
+            inputs[:3] = matrices
         if inset is not None:
             textures["inset_ranges"] = inset.mixed_bends_and_ranges
         gl.set_uniforms(program, has_row_matrices=by_rows, is_inset=is_inset, has_inset=inset is not None)
         gl.bind_textures(program, **textures)
-        per_cell = (display_size_px[0] / (warp_grid.columns - 1), display_size_px[1] / (warp_grid.rows - 1))
-        size_px = image.inverse_depth.size
-        gl.set_uniforms(program, size_px=tuple(map(float, size_px)), display_px_per_cell=per_cell)
+        per_cell = display_size_px[0] / (warp_grid.columns - 1), display_size_px[1] / (warp_grid.rows - 1)
+        inputs[3] = *image.inverse_depth.size, *per_cell
+        gl.set_array(program, "inputs_of_picture", inputs)
         self._filling.fill(cells)
         paths, bends, mixed_bends_and_ranges = cells.textures
         return WarpCells(paths, bends, mixed_bends_and_ranges, ranges)
