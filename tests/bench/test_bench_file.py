@@ -221,7 +221,6 @@ FAULTS = {
     "rows": (", [0, 0.6, 0.8]", "", "'rotation' must be 3 lists of 3 numbers, not 2"),
     "bow": ("[[0.1, 0.2]]", "[[0, 1], [1, 0]]", "'bow_per_m' in [target] must be one pair, or 1"),
     "unknown key": ("[stage]", "[stage]\nbacklash = [0, 0]", "unknown key 'backlash'; did you mean 'backlash_mm'?"),
-    "unknown table": ("[stage]", "[clocks]\n[stage]", "unknown key 'clocks'; did you mean 'clock'?"),
     "prior's sigma": (
         "[target]",
         "[prior.a]\nb = [1, 0]\n[target]",
@@ -229,7 +228,6 @@ FAULTS = {
     ),
     "prior's pair": ("[target]", "[prior.a]\nb = 1.0\n[target]", "'b' must be a list of 2 numbers"),
     "prior's key": ("[target]", "[prior.a]\nb = {sgma = 1}\n[target]", "'sigma' is missing (found 'sgma' instead)"),
-    "prior's mean": ("[target]", "[prior.a]\nb = {sigma = 1, men = 1}\n[target]", "key 'men'; did you mean 'mean'?"),
     "prior": ("[target]", "[prior]\na = 3\n[target]", "'a' must be a table"),
     "singular": (
         "origin = [32, 1, 33]",
@@ -260,7 +258,6 @@ FAULTS = {
     ),
     "effect's orders": ("[target]", EFFECT.replace("[[1]]", "[[0.5]]"), "'orders' must be at most 1000 lists of whole"),
     "effect's terms": ("[target]", EFFECT.replace("[[1]]", "[[1], [2]]"), "one list of 2 numbers (decoded position u"),
-    "effect's key": ("[target]", EFFECT.replace("low", "lower"), "key 'low' is missing (found 'lower' instead)"),
     "effect's cells": ("[target]", CELLS.replace("[7.5]", "[2.6]"), "two of 'cells' lie in one cell of 'cell_size' 1"),
     "effect's cell values": ("[target]", CELLS.replace(", [0.3, 0.4]", ""), "each of the 2 lists of 'cells', not 1"),
     "effect's cell size": ("[target]", CELLS.replace("cell_size = 1", "cell_size = 0"), "'cell_size' has the value 0"),

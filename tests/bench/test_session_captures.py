@@ -176,21 +176,6 @@ def test_observations_of_another_eye_or_beside_the_targets_are_refused(bench: Be
         session_of(behind, unrecorded, "night")
 
 
-@pytest.mark.parametrize("disturbance", [name for name in DISTURBANCES if name != "nothing"])
-def test_a_bench_that_is_wrong_gives_other_captures(bench: Bench, plan: SessionPlan, disturbance: str) -> None:
-    session = Session("noise-free", plan, simulate(bench, plan))
-    believed, true = captures_of(DISTURBANCES[disturbance](bench), session), captures_of(bench, session)
-    parts = ((believed.display, true.display), (believed.see_through, true.see_through))
-    names = ("viewpoint", "view_dir", "pixel", "point")
-    differ = [
-        not np.allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-7)
-        for a, b in parts
-        for name in names
-        if hasattr(a, name)
-    ]
-    assert any(differ)
-
-
 def test_a_camera_that_was_turned_and_dots_on_the_bare_cameras_rays(bench: Bench, plan: SessionPlan) -> None:
     assert plan.see_through is not None
     count = len(plan.see_through)

@@ -42,11 +42,6 @@ def test_every_reading_belongs_to_its_capture(every_part: Observations) -> None:
     np.testing.assert_array_equal(every_part.part, [name.part for name in names])
 
 
-def test_captures_are_named_as_a_person_would() -> None:
-    assert str(CaptureName(DISPLAY, -1, 7)) == "display capture 7"
-    assert str(CaptureName(SEE_THROUGH, 2, 0)) == "see-through capture 0 of target pose 2"
-
-
 def test_a_dot_off_by_sigma_is_one_unit(bench: Bench, clean: Observations) -> None:
     read = clean.session.readings
     moved = with_readings(clean, dot_pixel=present(read.dot_pixel) + SIGMA_PX * np.array([1.0, -2.0]))
