@@ -10,14 +10,13 @@ from flat_image import FlatImage
 from gl_scenes import at, lit, unlit
 from numpy.typing import NDArray
 from present import narrowed
+from small_headsets import changed_device
 from toy_headsets import LateralOffset
 
 from wlr_render.draw.painters import TracedPainter
 from wlr_render.draw.ray_tracing import EyeView, RayRenderer, eye_view
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.io.atomic_files import resource
-from wlr_render.io.toml_files import read_toml
 from wlr_render.mappings import DisplayMapping, Eye, Panel, QueryResult, Status
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.srgb import decode_srgb
@@ -29,21 +28,11 @@ from wlr_render.scene.shapes import construction
 HEAD_POSE = at(0.2, 1.4, 0.5, transforms.rotation_about("y", 0.3))
 
 
-def small_device(folder: Path, name: str) -> Eye:
-    """A shipped device with a quarter of its pixels across and down."""
-    width, height = read_toml(resource("devices", f"{name}.toml")).tables("eye")[0].table("panel").vector("pixels", 2)
-    text = resource("devices", f"{name}.toml").read_text(encoding="utf-8")
-    small = text.replace(f"[{width:.0f}, {height:.0f}]", f"[{width // 4:.0f}, {height // 4:.0f}]")
-    assert small != text
-    path = folder / f"{name}.toml"
-    path.write_text(small, encoding="utf-8")
-    return traced_eye(load_device(path))
-
-
 @pytest.fixture(params=["flat image behind a prism plate", "no_optics", "flat_mirror"])
 def headset(request: pytest.FixtureRequest, flat_image_headset: Eye, tmp_path: Path) -> Eye:
-    if request.param in ("no_optics", "flat_mirror"):
-        return small_device(tmp_path, request.param)
+    fewer = {"no_optics": ("[1280, 720]", "[320, 180]"), "flat_mirror": ("[1920, 1080]", "[480, 270]")}
+    if request.param in fewer:
+        return traced_eye(load_device(changed_device(tmp_path, request.param, fewer[request.param])))
     display = narrowed(flat_image_headset.display, FlatImage)
     return replace(flat_image_headset, display=replace(display, panel=Panel(420, 300)))
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from present import narrowed, present
+from small_headsets import changed_device
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
@@ -260,10 +261,7 @@ def test_an_eye_that_is_not_there() -> None:
 
 
 def test_a_panel_that_no_ray_reaches_is_refused(tmp_path: Path) -> None:
-    text = resource("devices", "flat_mirror.toml").read_text(encoding="utf-8")
-    hidden = tmp_path / "hidden.toml"
-    hidden.write_text(text.replace("[0.0, -40.0, 40.0]", "[0.0, 40.0, 40.0]"), encoding="utf-8")
-    eye = traced_eye(load_device(hidden))
+    eye = traced_eye(load_device(changed_device(tmp_path, "flat_mirror", ("[0.0, -40.0, 40.0]", "[0.0, 40.0, 40.0]"))))
     with pytest.raises(BadInputError, match="no ray from the middle of the eye box reaches the panel"):
         eye.display.view_dir_of_pixel(np.zeros(2), np.zeros(3))
 
