@@ -114,7 +114,7 @@ def test_light_in_a_closed_sphere_is_that_of_an_integrating_sphere(mitsuba: Modu
 def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads(mitsuba: ModuleType) -> None:
     import drjit
 
-    tracer, (origin, direction) = PathTracer(shipped_scene("desk")), fan_of_rays(60, 50)
+    tracer, (origin, direction) = PathTracer(shipped_scene("desk")), fan_of_rays(24, 20)
     rays = origin, direction.reshape(-1, 3)
     first, threads = tracer.light(*rays, 11), drjit.thread_count()
     try:
