@@ -3,7 +3,7 @@ import json
 import re
 import struct
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,16 +27,21 @@ CORNERS = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]], np.ui
 """Red and green above, blue and yellow below."""
 
 
-def png(image: NDArray[np.uint8]) -> bytes:
-    """A PNG by hand, so that the reader is not tested against itself."""
-    height, width = image.shape[:2]
-    rows = b"".join(b"\0" + row.tobytes() for row in image)
+def png(rows: Iterable[bytes], size: tuple[int, int], depth: int = 8, kind: int = 2, gamma: bool = False) -> bytes:
+    """A PNG by hand, so that the reader is not tested against itself; it claims a size, and may claim another."""
 
-    def chunk(kind: bytes, content: bytes) -> bytes:
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+    def chunk(name: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
 
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    content = chunk(b"IHDR", struct.pack(">IIBBBBB", *size, depth, kind, 0, 0, 0))
+    content += chunk(b"gAMA", struct.pack(">I", 100_000)) if gamma else b""
+    content += chunk(b"IDAT", zlib.compress(b"".join(b"\0" + row for row in rows)))
+    return b"\x89PNG\r\n\x1a\n" + content + chunk(b"IEND", b"")
+
+
+def four_texels(width: int = 2, height: int = 2) -> bytes:
+    """A PNG of `CORNERS` that claims to have this size."""
+    return png((row.tobytes() for row in CORNERS), (width, height))
 
 
 def stored(*parts: NDArray[Any]) -> dict[str, Any]:
@@ -101,7 +106,7 @@ def obj(
     if mtl:
         (folder / "wedge.mtl").write_text(mtl)
     if texture:
-        (folder / "t.png").write_bytes(png(CORNERS))
+        (folder / "t.png").write_bytes(four_texels())
     return path
 
 
@@ -181,7 +186,7 @@ def test_glb_keeps_lights(scene: Scene, loaded: MeshFile) -> None:
 
 
 def test_gltf_uv_has_its_origin_at_the_top_left(tmp_path: Path) -> None:
-    (tmp_path / "my texture.png").write_bytes(png(CORNERS))
+    (tmp_path / "my texture.png").write_bytes(four_texels())
     material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
     path = gltf(tmp_path, materials=[material], textures=[{"source": 0}], images=[{"uri": "my%20texture.png"}])
     mesh = load_meshes(path).meshes[0]
@@ -256,7 +261,7 @@ def test_properties_of_gltf_that_are_not_drawn_are_named(tmp_path: Path, materia
 def test_texture_coordinates_are_moved_as_the_material_states(
     tmp_path: Path, transform: dict[str, Any], first: Sequence[int], second: Sequence[float], third: Sequence[float]
 ) -> None:
-    (tmp_path / "t.png").write_bytes(png(CORNERS))
+    (tmp_path / "t.png").write_bytes(four_texels())
     texture = {"index": 0, "texCoord": 0, "extensions": {"KHR_texture_transform": transform}}
     surface = {"pbrMetallicRoughness": {"baseColorTexture": texture, "metallicFactor": 0}}
     path = gltf(
@@ -317,14 +322,6 @@ def changed(path: Path, old: bytes, new: bytes) -> Path:
     return path
 
 
-def bomb() -> bytes:
-    """A small PNG that claims to be a large one."""
-    small, large = (b"IHDR" + struct.pack(">IIBBBBB", n, n, 8, 2, 0, 0, 0) for n in (2, 50_000))
-    return png(CORNERS).replace(
-        small + struct.pack(">I", zlib.crc32(small)), large + struct.pack(">I", zlib.crc32(large))
-    )
-
-
 def glb(folder: Path, length: int) -> Path:
     """That of `gltf`, its buffer of a stated length."""
     content = json.loads(gltf(folder).read_text())
@@ -337,21 +334,14 @@ def glb(folder: Path, length: int) -> Path:
     return path
 
 
-def half() -> bytes:
-    """A PNG with two rows of four."""
-    whole, two = (b"IHDR" + struct.pack(">IIBBBBB", 2, n, 8, 2, 0, 0, 0) for n in (4, 2))
-    crc = [struct.pack(">I", zlib.crc32(each)) for each in (two, whole)]
-    return png(CORNERS).replace(two + crc[0], whole + crc[1])
-
-
-HALF = "data:image/png;base64," + base64.b64encode(half()).decode()
+HALF = "data:image/png;base64," + base64.b64encode(four_texels(height=4)).decode()
 PLACE = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
 LAST_LIGHT = {"KHR_lights_punctual": {"light": -1}}
 GLOSSY = {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [5, 0, 0, 1]}}
-BOMB = "data:image/png;base64," + base64.b64encode(bomb()).decode()
+BOMB = "data:image/png;base64," + base64.b64encode(four_texels(50_000, 50_000)).decode()
 SPOT = {"KHR_lights_punctual": {"lights": [{"type": "spot"}]}}
 SPOT_NODES = [{"mesh": 0, "name": "bulb", "extensions": {"KHR_lights_punctual": {"light": 0}}}]
-PICTURE = "data:image/png;base64," + base64.b64encode(png(CORNERS)).decode()
+PICTURE = "data:image/png;base64," + base64.b64encode(four_texels()).decode()
 MATT: list[dict[str, Any]] = [{}]
 TEXTURED: dict[str, Any] = {
     "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
@@ -632,7 +622,7 @@ def test_bytes_that_are_used_many_times_are_refused(tmp_path: Path, monkeypatch:
 
 
 def test_a_file_elsewhere_is_read_if_the_user_trusts_the_mesh(tmp_path: Path) -> None:
-    (tmp_path / "t.png").write_bytes(png(CORNERS))
+    (tmp_path / "t.png").write_bytes(four_texels())
     (tmp_path / "in").mkdir()
     path = gltf(tmp_path / "in", images=[{"uri": "../t.png"}], **TEXTURED)
     with outside_references():
@@ -723,7 +713,7 @@ def test_data_of_a_uri_may_be_percent_encoded(tmp_path: Path) -> None:
     """RFC 2397: without ;base64 the data are text."""
     blob = base64.b64decode(json.loads(gltf(tmp_path).read_text())["buffers"][0]["uri"].partition(",")[2])
     text = "".join(f"%{byte:02x}" for byte in blob)
-    image = "data:image/png," + "".join(f"%{byte:02X}" for byte in png(CORNERS))
+    image = "data:image/png," + "".join(f"%{byte:02X}" for byte in four_texels())
     buffers = [{"byteLength": 72, "uri": f"data:application/octet-stream,{text}"}]
     mesh = load_meshes(gltf(tmp_path, buffers=buffers, images=[{"uri": image}], **TEXTURED)).meshes[0]
     np.testing.assert_array_equal(mesh.texture, CORNERS)

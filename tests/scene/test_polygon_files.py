@@ -1,7 +1,6 @@
 """OBJ, MTL, PLY and STL: the forms that their documents declare legal, and pictures of all kinds as textures."""
 
 import struct
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 from present import present
+from scene.test_mesh_file import png
 
 from wlr_render.errors import BadInputError
 from wlr_render.scene.mesh_file import load_meshes
@@ -244,26 +244,15 @@ def test_pictures_of_every_mode_are_textures(
     assert np.unique(present(only(path).texture)).tolist() == [code]
 
 
-def png(depth: int, kind: int, row: bytes) -> bytes:
-    """A picture of one pixel, with a gamma."""
-
-    def chunk(key: bytes, content: bytes) -> bytes:
-        return struct.pack(">I", len(content)) + key + content + struct.pack(">I", zlib.crc32(key + content))
-
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 1, 1, depth, kind, 0, 0, 0))
-    content = chunk(b"gAMA", struct.pack(">I", 100_000)) + chunk(b"IDAT", zlib.compress(b"\0" + row))
-    return b"\x89PNG\r\n\x1a\n" + header + content + chunk(b"IEND", b"")
-
-
 def test_grey_pictures_of_two_bits_and_sixteen_bits_per_colour(tmp_path: Path) -> None:
     path = obj(tmp_path, TRIANGLE + FACE, mtl="newmtl m\nmap_Kd tex.png\n")
-    for content, code in (
-        (png(2, 0, b"\x40"), 85),
-        (png(4, 0, b"\x50"), 85),
-        (png(16, 2, struct.pack(">3H", *[20000] * 3)), 78),
-        (png(16, 4, struct.pack(">2H", 20000, 5)), 78),
+    for (depth, kind, row), code in (
+        ((2, 0, b"\x40"), 85),
+        ((4, 0, b"\x50"), 85),
+        ((16, 2, struct.pack(">3H", *[20000] * 3)), 78),
+        ((16, 4, struct.pack(">2H", 20000, 5)), 78),
     ):
-        (tmp_path / "tex.png").write_bytes(content)
+        (tmp_path / "tex.png").write_bytes(png([row], (1, 1), depth, kind, gamma=True))
         assert present(only(path).texture).tolist() == [[[code] * 3]]
 
 
