@@ -31,19 +31,6 @@ UNLISTED_AT_RUN_TIME = tuple(UNLISTED_AT_RUN_TIME_EFFECTS)
 STATION_OF = {**STATIONS, **STATIONS_AT_RUN_TIME}
 """Station of each unlisted effect."""
 
-DISPLAY_ONLY = (
-    *("panel_shift", "panel_axial_shift", "panel_rotation", "panel_scale", "panel_bow"),
-    *("thermal_drift", "pixel_origin", "lateral_colour", "code_stripes", "stage_backlash"),
-    *("panel_waves", "panel_swings"),
-)
-"""Names of the effects that act on the display table alone; North Star's substrate is not among its optics."""
-
-SEE_THROUGH_ONLY = (
-    *("see_through_plate", "target_scale", "target_bow", "target_wrinkle", "tracking_rotation", "tracking_translation"),
-    *("print_waves", "substrate_wedge"),
-)
-"""Names of the effects that act on the see-through table alone, with every headset."""
-
 OUTLIER = "outlier"
 """Name of the effect that is one capture that moved."""
 
