@@ -151,10 +151,11 @@ class Predictor:
     again, and the other parts start from the known solution.
     """
 
-    def __init__(self, observations: Observations, nominal: State | None = None) -> None:
-        """Simulate the session with the nominal bench, unless its state `nominal` is known."""
-        self.observations = observations
-        self._nominal = nominal or _nominal_state(observations.nominal, observations.session.plan)
+    def __init__(self, observations: Observations) -> None:
+        """Simulate the session with the nominal bench."""
+        nominal, plan = observations.nominal, observations.session.plan
+        views = Views.of(nominal, plan)
+        self.observations, self._nominal = observations, State(nominal, simulate(nominal, plan, views), views)
 
     @classmethod
     def of_session(cls, nominal: Bench, session: Session) -> "Predictor":
@@ -174,7 +175,7 @@ class Predictor:
 
     def with_sigma(self, sigma_px: FloatArray) -> "Predictor":
         """Return the predictor of the same readings with another noise."""
-        return Predictor(self.observations.with_sigma(sigma_px), self._nominal)
+        return Predictor(self.observations.with_sigma(sigma_px))
 
     def of_rows(self, keep: BoolArray) -> "Predictor":
         """Return the predictor of the readings in a mask (n,)."""
@@ -286,11 +287,6 @@ def _lost(readings: Readings) -> Readings:
 def _acts(by_step: FloatArray) -> bool:
     """Return whether a step of `_STEP` prior sigmas changes readings by more than the error of the solver."""
     return bool(np.max(np.abs(by_step), initial=0.0) > _NOTHING * _STEP)
-
-
-def _nominal_state(nominal: Bench, plan: SessionPlan) -> State:
-    views = Views.of(nominal, plan)
-    return State(nominal, simulate(nominal, plan, views), views)
 
 
 def _merged(found: Readings, old: Readings) -> Readings:

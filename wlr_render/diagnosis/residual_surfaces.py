@@ -93,12 +93,12 @@ def photographs(observations: Observations) -> Iterator[IntArray]:
 
 def surfaces(observations: Observations, residual: FloatArray) -> Iterator[Surface]:
     """Yield a smooth surface through the residual (n, 2) of each photograph that has enough points."""
-    for rows, design, whole in _designs(observations):
+    for rows in photographs(observations):
+        design, own = image_basis(observations, rows), np.nan_to_num(residual[rows])
         good = known = np.asarray(np.isfinite(residual[rows]).all(axis=1))
-        own = np.nan_to_num(residual[rows])
-        if good.sum() <= 2 * design.shape[1]:
+        if design is None or good.sum() <= 2 * design.shape[1]:
             continue
-        left, leverage, size = _about_surface(design, own, good, whole)
+        left, leverage, size = _about_surface(design, own, good)
         for _ in range(_OUTLIER_ROUNDS):
             # 1.18: the median length of a two-vector of unit normal components.
             near = known & (size <= _OUTLIER * max(1.0, float(np.median(size[good])) / 1.18))
@@ -106,28 +106,20 @@ def surfaces(observations: Observations, residual: FloatArray) -> Iterator[Surfa
                 break
             # An outlier pulls the surface, so that its neighbours seem to be outliers until it is left out.
             good = near
-            left, leverage, size = _about_surface(design, own, good, whole)
+            left, leverage, size = _about_surface(design, own, good)
         if good.sum() > 2 * design.shape[1]:
             yield Surface(rows, design, left, leverage, good)
 
 
-def _designs(observations: Observations) -> list[tuple[IntArray, FloatArray, FloatArray]]:
-    """Return the rows of each photograph, its polynomials and their pseudoinverse."""
-    every = ((rows, image_basis(observations, rows)) for rows in photographs(observations))
-    return [(rows, design, np.asarray(np.linalg.pinv(design))) for rows, design in every if design is not None]
-
-
 def _about_surface(
-    design: FloatArray, values: FloatArray, good: BoolArray, whole: FloatArray
+    design: FloatArray, values: FloatArray, good: BoolArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residuals (n, 2) of `values` about a surface through the good ones, leverages and studentised lengths.
-
-    `whole` (terms, n) is the pseudoinverse for all values.
 
     A reading in a corner pulls the surface towards itself, so that its residual is small: hence the leverages (R. D.
     Cook and S. Weisberg, "Residuals and Influence in Regression", 1982, chapter 2).
     """
-    solve = whole if good.all() else np.asarray(np.linalg.pinv(design[good]))
+    solve = np.linalg.pinv(design[good])
     left = values - design @ (solve @ values[good])
     leverage = np.sum((design @ solve) ** 2, axis=1)
     spread = np.sqrt(np.where(good, 1.0 - leverage, 1.0 + leverage).clip(1e-6))
