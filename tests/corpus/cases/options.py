@@ -65,32 +65,23 @@ VALUES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
     }),
 )  # fmt: skip
 
-# Every verb with its inputs missing; the first word is the one that must be named.
+# Verbs with an input missing that is no file of hostile_files.py; the first word is the one that must be named.
 NOWHERE = {
     "trace": ("trace", "nowhere.toml"),
     "trace by name": ("trace", "nowhere"),
-    "render device": ("render", "nowhere.toml", "scene.toml"),
-    "render model": ("render", "nowhere.json", "scene.toml"),
-    "render scene": ("render", "device.toml", "nowhere.toml"),
-    "render mesh": ("render", "device.toml", "nowhere.glb"),
-    "render head": ("render", "device.toml", "scene.toml", "--head", "nowhere.txt"),
-    "render eyes": ("render", "device.toml", "scene.toml", "--eye-track", "nowhere.txt"),
     "render red model": ("render", "model.json", "scene.toml", "--per-colour", "--red-model", "nowhere.json", "--blue-model", "model.json"),
     "export": ("export", "nowhere.toml", "--format", "stmap"),
     "export by name": ("export", "nowhere", "--format", "stmap"),
     "export track": ("export", "device.toml", "--format", "npz", "--eye-track", "nowhere.txt"),
     "export red model": ("export", "model.json", "--format", "stmap", "--red-model", "nowhere.json", "--blue-model", "model.json"),
     "budget": ("budget", "nowhere.json"),
-    "import-lens": ("import-lens", "nowhere.zmx", "--panel", "64x48", "--panel-mm", "10x8"),
     "render misalignment": ("render", "device.toml", "scene.toml", "--misalignment", "nowhere.toml"),
     "demo": ("demo", "nowhere.toml"),
     "demo scene": ("demo", "device.toml", "--scene", "nowhere.toml"),
     "plan": ("plan", "nowhere.toml"),
     "calibrate": ("calibrate", "nowhere"),
-    "calibrate captures": ("calibrate", "nowhere.npz"),
     "calibrate device": ("calibrate", "nowhere.toml"),
     "verify": ("verify", "nowhere", "board.toml", "--calibration", "calibration"),
-    "verify board": ("verify", "pairs", "nowhere.toml", "--calibration", "calibration"),
     "verify calibration": ("verify", "pairs", "board.toml", "--calibration", "nowhere"),
     "diagnose": ("diagnose", "nowhere"),
     "predict": ("predict", "nowhere.toml", "bench"),
@@ -157,13 +148,9 @@ def _without(verb: tuple[str, ...], option: str) -> tuple[str, ...]:
 
 def _words() -> Iterator[Case]:
     for title, arguments, names in (
-        ("an unknown verb", ("rendr",), ("rendr",)),
         ("an unknown verb of escapes", ("\x1b[31mx\n\u202e",), ("command",)),
         ("an empty verb", ("",), ("command",)),
-        ("an unknown option", ("trace", "device.toml", "--magic"), ("magic",)),
         ("an option twice", ("trace", "device.toml", "--eye", "left", "--eye", "right"), ("eye",)),
-        ("no argument", ("trace",), ("device|DEVICE",)),
-        ("an argument too many", ("trace", "device.toml", "b", "c"), ("b|c",)),
         ("an empty argument", ("trace", ""), ("''|device|name",)),
         ("an argument with a nul", ("trace", "a\x00b.toml"), ("a",)),
         ("an argument of escapes", ("trace", "\x1b[31mx.toml\n\u202e"), ("x.toml",)),
