@@ -167,14 +167,6 @@ def whole(folder: Path) -> dict[Any, Any]:
     return {name: sorted(each.splitlines()) if name == LEDGER else each for name, each in kept.items()}
 
 
-def trials(folder: Path) -> dict[Any, Any]:
-    """Kept trials by name, without the time that each took, and the digest that has it."""
-    read = {path.name: path.read_text().splitlines() for path in Path(folder).glob("trials/*/*.json")}
-    assert read
-    timed = ('"seconds": ', '"sha256": ')
-    return {name: [line for line in lines if not line.strip().startswith(timed)] for name, lines in read.items()}
-
-
 @pytest.fixture
 def sequence(tmp_path: Path, small_northstar: str, scene_file: str) -> RenderOptions:
     """Twenty frames of 180 x 200 pixels."""
@@ -229,16 +221,6 @@ def test_frames_are_those_of_one_process_when_a_worker_is_killed(
 
 
 @pytest.mark.slow
-def test_a_study_is_that_of_local_processes_when_a_worker_is_killed(
-    address: str, tmp_path: Path, here: tuple[Report, Path], kill_a_worker_at_work: tuple[Progress, list[int]]
-) -> None:
-    progress, killed = kill_a_worker_at_work
-    accuracy(replace(STUDY, scheduler=address, out=tmp_path / "there"), progress=progress)
-    assert len(killed) == 1
-    assert trials(tmp_path / "there") == trials(here[1])
-
-
-@pytest.mark.slow
 def test_a_simulated_session_is_that_of_local_processes(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -257,13 +239,11 @@ def test_a_simulated_session_is_that_of_local_processes(
 
 MALFORMED = (
     "host",
-    "localhost",
     "tcp://",
     "tcp://host",
     "tcp://:8786",
     "fax://host:1",
     "tcp://host:70000",
-    "tcp://a b:1",
 )
 
 
@@ -274,9 +254,7 @@ def test_a_malformed_address(given: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "given", ["tcp://127.0.0.1:{free}", "ws://127.0.0.1:{free}", "tcp://no.such.host.invalid:8786"]
-)
+@pytest.mark.parametrize("given", ["ws://127.0.0.1:{free}", "tcp://no.such.host.invalid:8786"])
 def test_an_address_where_nobody_answers_is_refused_in_one_line(given: str) -> None:
     """In a process of its own: Dask's client prints a traceback when it is deleted, and needs 20 s."""
     with socket.socket() as taken:
