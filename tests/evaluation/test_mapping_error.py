@@ -1,5 +1,3 @@
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from flat_image import PrismPlate, TurnedDisplay
@@ -9,22 +7,9 @@ from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.mapping_error import DisplayObservations, SeeThroughObservations
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.mappings import DisplayMapping, Eye, QueryResult
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.mappings import Eye
 
 SHAPES = [(), (1,), (3, 1, 2)]
-
-
-@dataclass(frozen=True)
-class Static:
-    """A display that shows every viewpoint what the centre sees."""
-
-    display: DisplayMapping
-    centre: np.ndarray
-
-    def view_dir_of_pixel(self, pixel: FloatArray, viewpoint: FloatArray, warm_start: object = None) -> QueryResult:
-        shape = np.broadcast_shapes(pixel.shape[:-1], viewpoint.shape[:-1])
-        return self.display.view_dir_of_pixel(np.broadcast_to(pixel, (*shape, 2)), self.centre)
 
 
 @pytest.fixture(params=SHAPES, ids=str)
@@ -115,15 +100,6 @@ def test_straight_error_is_the_deviation_of_the_optics(
     straight = PrismPlate(offset_m=0.0, prism=0.0)
     expected = mapping_error.see_through_error(straight, see_through_observations).backward_arcmin
     np.testing.assert_allclose(straight_error(see_through_observations), expected, rtol=1e-9)
-
-
-def test_a_static_display_errs_by_the_parallax(flat_image_headset: Eye) -> None:
-    static = Static(flat_image_headset.display, flat_image_headset.eye_box.centre)
-    viewpoint = flat_image_headset.eye_box.centre + [0.005, 0.0, 0.0]
-    true = mapping_error.observations_of_pixels(flat_image_headset.display, viewpoint, np.array([70.0, 50.0]))
-    shown = static.view_dir_of_pixel(true.pixel, true.viewpoint).value
-    parallax = np.arccos(np.clip(np.sum(shown * true.view_dir), -1, 1)) / ARCMIN
-    np.testing.assert_allclose(parallax, 0.005 / 2.01 / ARCMIN, rtol=1e-3)
 
 
 def test_an_eye_tracking_error_costs_its_parallax(

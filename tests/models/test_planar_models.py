@@ -25,7 +25,7 @@ from models.toy_models import (
 )
 from present import present
 
-from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.geometry.rays import at_z, distance_to_point, split
 from wlr_render.mappings import Status
@@ -108,17 +108,6 @@ def along_one_ray(display: DisplayModel) -> tuple[FloatArray, FloatArray]:
 def test_viewpoints_along_one_ray_agree_by_construction_and_not_without() -> None:
     assert arcmin_between(*along_one_ray(bundle_display())).max() < 1e-7
     assert arcmin_between(*along_one_ray(volumetric_display())).max() > 1.0
-
-
-def test_a_viewpoint_in_the_plane_needs_no_projection() -> None:
-    viewpoint = PLANE.lift(VIEWPOINT[:, :2])
-    tangents = seen(np.hstack([PIXEL, VIEWPOINT[:, :2]]))
-    value = bundle_display().view_dir_of_pixel(PIXEL, viewpoint).value
-    np.testing.assert_allclose(tangents_of_dir(value), tangents, atol=1e-14)
-    see_through = bundle_see_through()
-    answer = see_through.view_dir_of_real_point(POINT, viewpoint)
-    assert answer.ok.all()
-    assert distance_to_point(see_through.real_ray_of_view_dir(answer.value, viewpoint).value, POINT).max() < 1e-11
 
 
 def test_see_through_deviation_is_the_papers_two_points_on_two_planes() -> None:
