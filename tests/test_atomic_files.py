@@ -298,6 +298,7 @@ def test_a_second_run_is_refused_at_once_and_takes_over_from_a_killed_one(tmp_pa
     with atomic_files.locked_folder(folder, "ours"):
         assert (folder / ".wlr-render.lock").read_text() == f"ours (process {os.getpid()})"
         atomic_files.write_text(folder / "b.txt", "b")
+        (folder / ".wlr-part-of-a-killed-worker.png").touch()
     assert [path.name for path in folder.iterdir()] == ["b.txt"]
 
 

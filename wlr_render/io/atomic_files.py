@@ -109,7 +109,7 @@ def output_folder(path: str | Path) -> Path:
 
 @functools.cache  # once per process, because a folder may contain many files
 def remove_abandoned(folder: Path) -> None:
-    """Remove the temporary files of killed runs."""
+    """Remove the temporary files of killed runs and of killed workers."""
     for path in folder.glob(f"{_PART}*"):
         with contextlib.suppress(OSError), path.open("rb+") as file:
             _lock(file.fileno())
@@ -132,7 +132,7 @@ def _lock(handle: int) -> None:
 def locked_folder(path: str | Path, run: str) -> Iterator[None]:
     """Lock an output folder against other runs within a `with` block; create it if necessary.
 
-    At the end, a folder created here is removed if it is empty.
+    At the end, temporary files of killed workers are removed, and a folder created here if it is empty.
 
     Args:
         path: the folder.
@@ -151,6 +151,8 @@ def locked_folder(path: str | Path, run: str) -> Iterator[None]:
             os.ftruncate(handle, 0)
             os.write(handle, f"{run} (process {os.getpid()})".encode())
         yield
+        remove_abandoned.cache_clear()  # a worker may have been killed since the run began
+        remove_abandoned(folder.resolve())
     finally:
         with contextlib.suppress(OSError):  # the folder may have been removed in the meantime
             lock.unlink()
