@@ -294,7 +294,7 @@ def test_a_second_run_is_refused_at_once_and_takes_over_from_a_killed_one(tmp_pa
     assert len([path for path in folder.iterdir() if path.name.startswith(".wlr-")]) == 2, "of the run that goes on"
     other_run.kill()
     other_run.wait()
-    atomic_files.remove_abandoned.cache_clear()  # as in a new process
+    atomic_files.remove_abandoned_once.cache_clear()  # as in a new process
     with atomic_files.locked_folder(folder, "ours"):
         assert (folder / ".wlr-render.lock").read_text() == f"ours (process {os.getpid()})"
         atomic_files.write_text(folder / "b.txt", "b")

@@ -1,6 +1,7 @@
 """Each effect changes what it should and leaves alone what it should not.
 
-tests/benchmarks/diagnosis/test_diagnosis_trials.py has all that those do which are listed causes.
+tests/benchmarks/diagnosis/test_diagnosis_trials.py compares the listed causes with those of the package; the signs of a
+panel's and of a camera's effects are here.
 """
 
 from typing import Any
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from oracle.captures import Plan
+from oracle.captures import CAMERA_CENTRE_PX, Plan
+from oracle.devices import own_device
 from oracle.effects import (
     LISTED,
     UNLISTED,
@@ -19,11 +21,13 @@ from oracle.effects import (
     draw_outlier,
     draw_outliers,
 )
+from oracle.own_tracer import turn
 from oracle.session import Session, observe
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
 
 QUIET = Plan(grid=(7, 6), dots=(7, 5), off_plane=4, sigma_px=0.0)
+NO_TURN = {"x_deg": 0.0, "y_deg": 0.0, "z_deg": 0.0}
 SEEN_PX = 2e-3  # raising all surfaces of a thin combiner hardly bends what is seen through it
 
 DISPLAY_ONLY = ("code_stripes", "panel_waves", "panel_swings")
@@ -64,6 +68,33 @@ def test_strength_scales_the_size_and_leaves_the_settings(name: str) -> None:
     assert strong.amount != weak.amount
     settings = {key for key in weak.amount if key.startswith(("tau", "start", "tilt", "second"))}
     assert all(strong.amount[key] == weak.amount[key] for key in settings)
+
+
+def test_panel_effects_move_pixels_as_they_say() -> None:
+    panel = own_device("northstar").panel
+    pixel, _, _ = see(QUIET)
+    from_middle = pixel - 0.5 * panel.pixels
+    shift, _, _ = change(QUIET, Effect("panel_shift", {"x_mm": 0.3, "y_mm": -0.2}))
+    assert largest(shift + np.array([0.3, -0.2]) / panel.size_mm * panel.pixels) < 1e-9
+    scale, _, _ = change(QUIET, Effect("panel_scale", {"scale_percent": 0.4}))
+    assert largest(scale - from_middle * (1.0 / 1.004 - 1.0)) < 1e-9
+    turned, _, _ = change(QUIET, Effect("panel_rotation", {"angle_deg": 0.5}))
+    mm = from_middle / panel.pixels * panel.size_mm
+    there = mm @ turn(np.radians([0.0, 0.0, 0.5]))[:2, :2] / panel.size_mm * panel.pixels
+    assert largest(turned - (there - from_middle)) < 1e-9
+    origin, _, _ = change(QUIET, Effect("pixel_origin", {"offset_px": -0.5}))
+    assert largest(origin + 0.5) < 1e-9
+
+
+def test_camera_effects_move_dots_as_they_say() -> None:
+    _, dots, _ = see(QUIET)
+    away = dots - CAMERA_CENTRE_PX
+    _, longer, _ = change(QUIET, Effect("camera_focal_length", {"focal_percent": 0.3}))
+    assert largest(longer - 0.003 * away) < 1e-9
+    _, rolled, _ = change(QUIET, Effect("camera_rotation", {**NO_TURN, "z_deg": 0.2}))
+    assert largest(rolled - (away @ turn(np.radians([0.0, 0.0, 0.2]))[:2, :2] - away)) < 1e-9
+    _, bent, _ = change(QUIET, Effect("camera_distortion", {"edge_px": 0.6}))
+    assert largest(bent - 0.6 * away / 640.0 * np.sum((away / 640.0) ** 2, axis=-1, keepdims=True)) < 1e-9
 
 
 def test_an_outlier_is_one_capture() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from oracle.devices import CHANNEL_UM, NAMES, OwnDevice, own_device
 from oracle.effects import Effect
-from oracle.own_tracer import unit
+from oracle.own_tracer import refracted, unit
 from oracle.world import World
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import FloatArray
@@ -56,3 +56,8 @@ def test_a_ripples_gradient_is_that_of_its_height() -> None:
     for axis, step in enumerate(np.eye(3) * 1e-4):
         slope = (surface.height(point + step)[0] - surface.height(point - step)[0]) / 2e-4
         np.testing.assert_allclose(slope, gradient[:, axis], atol=1e-9)
+
+
+def test_refraction_reports_total_reflection() -> None:
+    slanted, normal = np.array([[np.sin(1.4), 0.0, np.cos(1.4)]]), np.array([[0.0, 0.0, -1.0]])
+    assert np.isnan(refracted(slanted, normal, 1.5)).all()

@@ -105,7 +105,7 @@ def test_the_temporary_files_of_other_machines_are_left(address: str, tmp_path: 
     (tmp_path / ".wlr-part-of-another.png").touch()
     done(address, atomic_files.output_folder, [tmp_path], tmp_path)
     assert len(list(tmp_path.iterdir())) == 1
-    atomic_files.remove_abandoned.cache_clear()
+    atomic_files.remove_abandoned_once.cache_clear()
     atomic_files.output_folder(tmp_path)
     assert not list(tmp_path.iterdir())
 

@@ -102,15 +102,19 @@ def output_folder(path: str | Path) -> Path:
     except OSError as error:
         reason = error.strerror or str(error)
         raise BadInputError(f"{folder}: cannot write to this output folder ({reason}); choose another.") from error
-    if not is_cluster_worker:
-        remove_abandoned(folder.resolve())
+    remove_abandoned_once(folder.resolve())
     return folder
 
 
-@functools.cache  # once per process, because a folder may contain many files
-def remove_abandoned(folder: Path) -> None:
-    """Remove the temporary files of killed runs and of killed workers."""
-    for path in folder.glob(f"{_PART}*"):
+@functools.cache  # because a folder may contain many files
+def remove_abandoned_once(folder: Path) -> None:
+    """Remove the temporary files of killed runs, once per process."""
+    _remove_abandoned(folder)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove temporary files that no process has locked, except on a worker, which may not see the locks of others."""
+    for path in () if is_cluster_worker else folder.glob(f"{_PART}*"):
         with contextlib.suppress(OSError), path.open("rb+") as file:
             _lock(file.fileno())
             path.unlink()
@@ -151,9 +155,8 @@ def locked_folder(path: str | Path, run: str) -> Iterator[None]:
             os.ftruncate(handle, 0)
             os.write(handle, f"{run} (process {os.getpid()})".encode())
         yield
-        remove_abandoned.cache_clear()  # a worker may have been killed since the run began
-        remove_abandoned(folder.resolve())
     finally:
+        _remove_abandoned(folder.resolve())  # of workers that were killed since the run began
         with contextlib.suppress(OSError):  # the folder may have been removed in the meantime
             lock.unlink()
         os.close(handle)
