@@ -78,6 +78,11 @@ def edited(session: PhotoSession, pattern: str, text: str) -> Path:
             "stage_mm = [2e5, 0.0",
             "'stage_mm' has the value 200000; it must be .* at most 10000",
         ),
+        (
+            'photographs = "d1"',
+            'photographs = "d0"',
+            r"\[\[display\]\] 2 has the photographs of \[\[display\]\] 1; remove",
+        ),
         ("stage_mm = .2.0, 0.0", "stage_mm = [9e3, 0.0", r"travel of \[\[\w+\]\].*another unit"),
         ("version = 1", "version = 2", "this program reads version 1"),
     ],

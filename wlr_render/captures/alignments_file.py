@@ -71,7 +71,8 @@ def load_alignments(path: str | Path) -> Alignments:
     pixel = np.array([each.vector("pixel", 2) for each in rows])
     point = np.array([each.vector("point_m", 3) for each in rows])
     timed = [each.has("time_s") for each in rows]
-    time_s = np.array([each.number("time_s") for each in rows]) if all(timed) else None
+    times = [each.number("time_s") for each, has_time in zip(rows, timed, strict=True) if has_time]
+    time_s = np.array(times) if all(timed) else None
     for each in rows:
         each.finish()
     table.finish()

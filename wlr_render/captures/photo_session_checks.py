@@ -31,6 +31,7 @@ def check_session(file: Table, session: PhotoSession) -> None:
         BadInputError: it is not usable; the message has the key and the remedy.
     """
     _check_lists(file, session)
+    _check_copies(file, session)
     _check_frame(file, session)
     _check_travel(file, session)
     _check_places(file, session)
@@ -54,6 +55,18 @@ def _check_lists(file: Table, session: PhotoSession) -> None:
         )
     if session.tracking_camera is None and session.tracking:
         raise file.fail("there are [[tracking]] photographs, but no [tracking_camera]; add that table.")
+
+
+def _check_copies(file: Table, session: PhotoSession) -> None:
+    """Refuse photographs that are listed twice, which a fit would use as independent measurements."""
+    for name, entries in stage_lists(session).items():
+        first: dict[tuple[object, ...], int] = {}
+        for number, each in enumerate(entries, 1):
+            # One photograph may show several targets, in a region each.
+            regions = str(getattr(each, "regions", None))
+            shown = each.path, each.eye, getattr(each, "channel", None), getattr(each, "target_pose", None), regions
+            if (same := first.setdefault(shown, number)) != number:
+                raise file.fail(f"[[{name}]] {number} has the photographs of [[{name}]] {same}; remove it.")
 
 
 def _check_frame(file: Table, session: PhotoSession) -> None:

@@ -172,7 +172,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
                 _distribution(seen),
             ]
     return Report(
-        f"Alignment of {scene.name} on {device.name}",
+        f"Simulated alignment of {scene.name} on {device.name}",
         " ".join(verdicts),
         warnings=[
             *scene.warnings,

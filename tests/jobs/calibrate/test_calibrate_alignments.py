@@ -95,6 +95,15 @@ def test_a_copy_of_an_alignment_is_no_evidence(alignments: Path, tmp_path: Path)
         calibrate(CalibrateOptions(str(alignments), out=tmp_path / "out"))
 
 
+def test_the_times_of_some_alignments_alone_are_refused(alignments: Path, tmp_path: Path) -> None:
+    content = tomllib.loads(alignments.read_text())
+    content["alignment"][0].pop("time_s", None)
+    content["alignment"][1]["time_s"] = 3.0
+    write_toml(alignments, content)
+    with pytest.raises(BadInputError, match=r"'time_s' is given for some alignments only; give it for all"):
+        calibrate(CalibrateOptions(str(alignments), out=tmp_path / "out"))
+
+
 def test_the_first_sentence_names_an_alignment_that_the_others_contradict(alignments: Path, tmp_path: Path) -> None:
     changed(alignments, 3, point_m=[0.3, 0.3, -1.0])
     report = calibrate(CalibrateOptions(str(alignments), out=tmp_path / "out"))

@@ -105,3 +105,16 @@ def test_too_few_positions_are_refused_in_one_sentence(flat_image_headset: Eye, 
     with pytest.raises(BadInputError, match="8 camera positions or more, and the display has 4; add positions"):
         calibrate(CalibrateOptions(str(path), out=tmp_path / "out", fit=fit, validate=True))
     assert not (tmp_path / "out").exists()  # refused before the fit
+
+
+def test_where_the_fit_leaves_out_too_many_positions_the_report_says_so(
+    flat_image_headset: Eye, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(validation, "_sound", lambda side: side.captures.capture < 7)
+    whole = wlr.simulate(flat_image_headset, 9, 0.25, 1, grid=(4, 3))
+    path = Captures(None, whole.both[1]).save(tmp_path / "captures-right.npz")
+    fit = FitOptions(degree=1, see_through_degree=1)
+    report = calibrate(CalibrateOptions(str(path), out=tmp_path / "out", fit=fit, validate=True))
+    assert report.verdict.startswith("The stated errors are not validated")
+    assert "the see-through has 7; add positions" in report.verdict
+    assert (tmp_path / "out" / "report.html").exists()

@@ -43,14 +43,18 @@ class Validation:
     Attributes:
         ratios: ratios of found to stated errors.
         refused: number of refits that failed.
+        not_made: reason why there are no refits; empty if there are.
     """
 
     ratios: tuple[Ratio, ...]
     refused: int
+    not_made: str = ""
 
     @property
     def sentence(self) -> str:
         """Verdict: which errors to believe, and how large they are."""
+        if self.not_made:
+            return f"The stated errors are not validated, without what the fit left out: {self.not_made}"
         wrong = [each for each in self.ratios if each.method == NOISE and not _is_right(each)]
         if wrong:
             worst = max(wrong, key=lambda each: abs(each.value - 1.0))
@@ -146,15 +150,19 @@ def validated(
     A rerun after an interruption continues with the missing refits.
 
     Returns:
-        None without `--validate`.
+        None without `--validate`. If the fit has left out so many camera positions that refits cannot test it, the
+        result has no ratios: the calibration and its report are worth keeping.
 
     Raises:
-        BadInputError: there are too few camera positions, or files cannot be written.
+        BadInputError: files cannot be written.
     """
     if not options.validate:
         return None
     fit = comparison.chosen
-    tasks = [_Task(each, _as_chosen(options.fit, comparison)) for each in refits(fit)]
+    try:
+        tasks = [_Task(each, _as_chosen(options.fit, comparison)) for each in refits(fit)]
+    except BadInputError as error:
+        return Validation((), 0, str(error))
     own = output_folder(folder / f"validate-{fit.mappings.eye}")
     recipe = recipe_of("validate", {"fit": repr(tasks[0].options), "version": __version__}, {"captures": _hash(fit)})
     finished = Kept(own, recipe, replaces=True)
@@ -210,10 +218,11 @@ def with_validations(report: Report, found: Mapping[str, Validation | None]) -> 
     sentences = [
         f"{eye.capitalize()} eye: {each.sentence}" if len(known) > 1 else each.sentence for eye, each in known.items()
     ]
-    tables: list[Block] = [Section("Validation")]
+    tables: list[Block] = [Section("Validation")] if any(not each.not_made for each in known.values()) else []
     tables += [
         replace(each.table, title=f"{each.table.title}, {eye} eye") if len(known) > 1 else each.table
         for eye, each in known.items()
+        if not each.not_made
     ]
     record = {**report.record, "validation": {eye: each.record for eye, each in known.items()}}
     verdict = " ".join([*sentences, report.verdict])
