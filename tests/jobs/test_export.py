@@ -354,6 +354,7 @@ def test_a_file_for_every_pupil_takes_no_pupil(model_file: str, tmp_path: Path) 
     report = exported("c", model_file, tmp_path)
     assert {"right.wlr", "wlr_render.h"} <= {path.name for path in report.files}
     assert not any("pupil" in warning for warning in report.warnings)
+    assert "The eye's pupil may be anywhere in the eye box" in (tmp_path / "report.md").read_text(encoding="utf-8")
     for option in ({"pupils": 2}, {"viewpoint_mm": (0.0, 0.0, 0.0)}, {"source_camera": "nearest"}):
         with pytest.raises(BadInputError, match="has no effect with c: its file serves every position of the pupil"):
             exported("c", model_file, tmp_path, **option)

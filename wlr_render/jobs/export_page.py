@@ -40,7 +40,7 @@ def export_page(
     blocks: list[Block] = [
         Text(
             "An augmented-reality headset bends the light of its panel and of the world. An ordinary pinhole camera "
-            "draws a picture of the virtual scene; for each pixel of the panel a file states the position in this "
+            "draws a picture of the virtual scene; the files give, for each pixel of the panel, the position in this "
             "picture that the pixel must show, so that the wearer sees the scene in its place in the world. The tables "
             "below state the camera and the pupil for which this is correct."
         ),
@@ -49,7 +49,7 @@ def export_page(
         Text(f"Axes and pixels: {_AXES}"),
         Section("How to use the files"),
         Text(f"Step by step; NAME is {first.stem} for the first view:", [_filled(step, first) for step in form.use]),
-        Text("To lock the picture to the world:", _POSE),
+        Text("To lock the picture to the world:", [*_POSE, _EVERY_PUPIL if form.holds.every_pupil else _PUPIL]),
         _source_cameras(views),
         Section("What a map loses"),
         _loss_table(options, form, views),
@@ -88,10 +88,11 @@ _POSE = (
     "position of the source camera in the last table.",
     "Draw the source picture with `camera_from_world = inverse(world_from_device @ device_from_camera_4x4)`, where "
     "world_from_device is the pose of this device frame, not the pose of your tracker's frame.",
-    "A world point is then at `camera_from_world @ (x, y, z, 1)`. The panel pixel that shows it is the one whose map "
-    "holds its position (u, v): search the map for it.",
-    "The eye's pupil must be at the viewpoint of the last table.",
+    "A world point is then at `camera_from_world @ (x, y, z, 1)`. The panel pixel that shows it is the one with "
+    "its position (u, v) in the source picture.",
 )
+_PUPIL = "The eye's pupil must be at the viewpoint of the last table."
+_EVERY_PUPIL = "The eye's pupil may be anywhere in the eye box."
 
 
 def _filled(step: str, view: ExportedView) -> str:
