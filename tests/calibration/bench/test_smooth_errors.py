@@ -148,6 +148,7 @@ def test_a_board_in_a_station_file_has_its_smooth_errors(crumpled: Crumpled, tmp
     )
 
 
+@pytest.mark.slow
 def test_errors_by_reading_are_in_the_sigmas_of_places() -> None:
     """Visits to one reading share an error, so that their mean is worse than a mean of independent errors."""
     pulls, sizes = [], []
