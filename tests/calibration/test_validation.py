@@ -56,7 +56,7 @@ def test_positions_that_share_errors_show_in_cross_validation_and_not_in_noise(f
 
 
 def test_readings_that_no_refit_can_test_are_refused(flat_image_headset: Eye) -> None:
-    with pytest.raises(BadInputError, match="8 camera positions or more, and the display has 4; add positions"):
+    with pytest.raises(BadInputError, match="8 camera positions or more, and the fit of the display has 4; add"):
         refits(flat_fit(captures_of(flat_image_headset, 0.0, positions=4)))
     with pytest.raises(BadInputError, match="stated to be exact; leave it out"):
         refits(flat_fit(wlr.simulate(flat_image_headset, 9, noise_arcmin=0.0, grid=(5, 4))))

@@ -81,8 +81,9 @@ def edited(session: PhotoSession, pattern: str, text: str) -> Path:
         (
             'photographs = "d1"',
             'photographs = "d0"',
-            r"\[\[display\]\] 2 has the photographs of \[\[display\]\] 1; remove",
+            r"\[\[display\]\] 2 is a copy of \[\[display\]\] 1; remove it",
         ),
+        (r'(    \{ photograph = "t.*\n)', r"\1\1", r"\[\[tracking\]\] 2 is a copy of \[\[tracking\]\] 1; remove it"),
         ("stage_mm = .2.0, 0.0", "stage_mm = [9e3, 0.0", r"travel of \[\[\w+\]\].*another unit"),
         ("version = 1", "version = 2", "this program reads version 1"),
     ],

@@ -726,10 +726,20 @@ def test_an_optional_extension_of_primitives_is_ignored(tmp_path: Path) -> None:
 
 def test_things_of_the_same_name_get_numbers(tmp_path: Path) -> None:
     nodes = [{"mesh": 0, "name": "pin"}] * 3 + [{"mesh": 1, "name": "pin_7"}, {"mesh": 0, "name": "pin_7"}, {"mesh": 1}]
-    found = load_meshes(gltf(tmp_path, meshes=2 * wedge(), nodes=nodes, scenes=[{"nodes": list(range(6))}]))
+    nodes += [{"mesh": 1, "name": ""}] * 2
+    found = load_meshes(gltf(tmp_path, meshes=2 * wedge(), nodes=nodes, scenes=[{"nodes": list(range(8))}]))
     assert [mesh.name for mesh in found.meshes] == ["wedge", "wedge_1"]
-    assert [each.name for each in found.instances] == ["pin", "pin_1", "pin_2", "pin_7", "pin_7_1", "5"]
-    assert [each.mesh for each in found.instances] == [0, 0, 0, 1, 0, 1]
+    assert [each.name for each in found.instances] == [
+        "pin",
+        "pin_1",
+        "pin_2",
+        "pin_7",
+        "pin_7_1",
+        "5",
+        "geometry",
+        "geometry_1",
+    ]
+    assert [each.mesh for each in found.instances] == [0, 0, 0, 1, 0, 1, 1, 1]
 
 
 def test_only_the_stated_scene_is_drawn(tmp_path: Path) -> None:

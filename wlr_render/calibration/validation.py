@@ -185,7 +185,7 @@ def refits(fit: Calibration, seed: int = 1) -> list[Refit]:
         BadInputError: there are fewer than `LEAST_POSITIONS` positions, or readings have no noise.
     """
     for name, side in fit.sides.items():
-        _require_testable(name, side.captures.capture[_sound(side)], side.captures.sigma_arcmin)
+        _require_testable(f"fit of the {name}", side.captures.capture[_sound(side)], side.captures.sigma_arcmin)
     rng = np.random.default_rng(seed)
     tested = {name: _tested(side, rng) for name, side in fit.sides.items()}
     found = [_noise_alone(number, fit, tested, np.random.default_rng([seed, number])) for number in range(_REFITS)]

@@ -58,15 +58,15 @@ def _check_lists(file: Table, session: PhotoSession) -> None:
 
 
 def _check_copies(file: Table, session: PhotoSession) -> None:
-    """Refuse photographs that are listed twice, which a fit would use as independent measurements."""
-    for name, entries in stage_lists(session).items():
+    """Refuse photographs that are listed twice: a fit would use them as independent measurements."""
+    for name, entries in {**stage_lists(session), "tracking": session.tracking}.items():
         first: dict[tuple[object, ...], int] = {}
         for number, each in enumerate(entries, 1):
             # One photograph may show several targets, in a region each.
             regions = str(getattr(each, "regions", None))
             shown = each.path, each.eye, getattr(each, "channel", None), getattr(each, "target_pose", None), regions
             if (same := first.setdefault(shown, number)) != number:
-                raise file.fail(f"[[{name}]] {number} has the photographs of [[{name}]] {same}; remove it.")
+                raise file.fail(f"[[{name}]] {number} is a copy of [[{name}]] {same}; remove it.")
 
 
 def _check_frame(file: Table, session: PhotoSession) -> None:

@@ -151,7 +151,8 @@ def read_lights(document: GltfDocument, nodes: Sequence[Node]) -> Iterator[Light
 
 
 def _unique(name: str, taken: Counter[str]) -> str:
-    """Return a name, with a number if it is taken, and count it in `taken`."""
+    """Return a name, with a number if it is taken, and count it in `taken`; glTF allows empty names."""
+    name = name or "geometry"
     free, number = name, taken[name]
     while free in taken:
         free, number = f"{name}_{number}", number + 1

@@ -116,5 +116,5 @@ def test_where_the_fit_leaves_out_too_many_positions_the_report_says_so(
     fit = FitOptions(degree=1, see_through_degree=1)
     report = calibrate(CalibrateOptions(str(path), out=tmp_path / "out", fit=fit, validate=True))
     assert report.verdict.startswith("The stated errors are not validated")
-    assert "the see-through has 7; add positions" in report.verdict
+    assert "the fit of the see-through has 7; add positions" in report.verdict
     assert (tmp_path / "out" / "report.html").exists()

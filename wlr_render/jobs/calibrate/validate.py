@@ -54,7 +54,7 @@ class Validation:
     def sentence(self) -> str:
         """Verdict: which errors to believe, and how large they are."""
         if self.not_made:
-            return f"The stated errors are not validated, without what the fit left out: {self.not_made}"
+            return f"The stated errors are not validated: {self.not_made}"
         wrong = [each for each in self.ratios if each.method == NOISE and not _is_right(each)]
         if wrong:
             worst = max(wrong, key=lambda each: abs(each.value - 1.0))
@@ -218,12 +218,12 @@ def with_validations(report: Report, found: Mapping[str, Validation | None]) -> 
     sentences = [
         f"{eye.capitalize()} eye: {each.sentence}" if len(known) > 1 else each.sentence for eye, each in known.items()
     ]
-    tables: list[Block] = [Section("Validation")] if any(not each.not_made for each in known.values()) else []
-    tables += [
+    tables: list[Block] = [
         replace(each.table, title=f"{each.table.title}, {eye} eye") if len(known) > 1 else each.table
         for eye, each in known.items()
         if not each.not_made
     ]
     record = {**report.record, "validation": {eye: each.record for eye, each in known.items()}}
     verdict = " ".join([*sentences, report.verdict])
-    return replace(report, verdict=verdict, blocks=[*tables, *report.blocks], record=record)
+    section = [Section("Validation"), *tables] if tables else []
+    return replace(report, verdict=verdict, blocks=[*section, *report.blocks], record=record)
