@@ -23,6 +23,7 @@ _LARGEST = 1e18
 """Largest number in a file: far above every quantity in these units, and its powers do not overflow."""
 _LONGEST_TEXT = 2000
 _KEYS_COMPARED = 1000
+_NEAR_SPELLING = 0.75  # least similarity of a mistyped key, as difflib measures it; 'eye' and 'eye_box' have 0.6
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){50}""")
 """Dotted keys of 50 parts: the time that `tomllib` takes grows with the square of their number."""
 
@@ -53,7 +54,7 @@ class Table:
         self._read.add(key)
         if key not in self._content:
             unread = (k for k in self._content if k not in self._read)
-            close = difflib.get_close_matches(key, itertools.islice(unread, _KEYS_COMPARED), 1)
+            close = difflib.get_close_matches(key, itertools.islice(unread, _KEYS_COMPARED), 1, _NEAR_SPELLING)
             hint = f" (found {shown(close[0])} instead)" if close else ""
             raise self.fail(f"key '{key}' is missing{hint}; write it.")
         return self._content[key]
@@ -223,7 +224,8 @@ class Table:
         """Refuse keys that were not read, so that typos are reported."""
         for key in self._content:
             if key not in self._read:
-                close = difflib.get_close_matches(key[:100], sorted(self._read | self._asked_for), 1)
+                absent = sorted(self._asked_for - self._content.keys())
+                close = difflib.get_close_matches(key[:100], absent, 1, _NEAR_SPELLING)
                 remedy = f"did you mean '{close[0]}'?" if close else "remove it."
                 raise self.fail(f"unknown key {shown(key)}; {remedy}")
 
