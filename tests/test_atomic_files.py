@@ -232,7 +232,7 @@ WRITERS = {
     "a.tiff": lambda path: image_files.write_map(path, _NOISE.astype(np.float32)),
     "a.pfm": lambda path: image_files.write_map(path, _NOISE.astype(np.float32)),
     "a.tif": lambda path: write_photograph(path, _NOISE[..., 0]),
-    "a.json": lambda path: atomic_files.write_text(path, toml_files.json_text({"values": _NOISE.ravel().tolist()})),
+    "a.json": lambda path: toml_files.write_json(path, {"values": _NOISE.ravel().tolist()}),
     "a.toml": lambda path: toml_files.write_toml(path, {"rows": _NOISE[:9].tolist()}),
     "report.html": lambda path: atomic_files.write_text(path, html_page(_REPORT, _ORIGIN)),
     "board.svg": lambda path: write_board_svg(_BOARD, path),

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from wlr_render import __version__
 from wlr_render.io.atomic_files import write_figure
 from wlr_render.io.input_files import LIMITS
-from wlr_render.io.toml_files import json_text
+from wlr_render.io.toml_files import write_json
 from wlr_render.report.blocks import Block, Estimate, Number, Picture, Plot, Report, ReportTable, Section, Text, table
 from wlr_render.report.plots import bars
 from wlr_render.report.records import to_jsonable
@@ -187,9 +187,9 @@ def test_records_become_json_by_their_fields() -> None:
         to_jsonable(object())
 
 
-def test_numbers_of_a_list_share_a_line() -> None:
+def test_numbers_of_a_list_share_a_line(tmp_path: Path) -> None:
     value = {"x": [1.0, 2.5], "y": [], "z": [{"a": ["[ b\n  c", "]"]}], "w": [[1, 2], [3, 4]]}
-    text = json_text(value)
+    text = write_json(tmp_path / "a.json", value).read_text()
     assert json.loads(text) == value
     assert '"x": [1.0,2.5],' in text
 

@@ -258,13 +258,21 @@ def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return content
 
 
-def json_text(value: Any, margin: str = "\n") -> str:
-    """Return JSON with a line for each entry, and lists without nested tables or lists on one line."""
+def write_json(path: str | Path, value: Any) -> Path:
+    """Write JSON atomically, with a line for each entry, and lists without nested tables or lists on one line.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    return write_text(path, _json_text(value) + "\n")
+
+
+def _json_text(value: Any, margin: str = "\n") -> str:
     if isinstance(value, dict) and value:
-        entries = [f"{json.dumps(key)}: {json_text(entry, margin + ' ')}" for key, entry in value.items()]
+        entries = [f"{json.dumps(key)}: {_json_text(entry, margin + ' ')}" for key, entry in value.items()]
         opening, closing = "{}"
     elif isinstance(value, list) and any(isinstance(entry, dict | list) for entry in value):
-        entries, opening, closing = [json_text(entry, margin + " ") for entry in value], "[", "]"
+        entries, opening, closing = [_json_text(entry, margin + " ") for entry in value], "[", "]"
     else:
         return json.dumps(value, allow_nan=False, separators=(",", ":"))
     return f"{opening}{margin} " + f",{margin} ".join(entries) + f"{margin}{closing}"
