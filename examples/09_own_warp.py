@@ -50,27 +50,13 @@ def read(texture, dtype):
     return np.frombuffer(values, dtype).reshape(height, width, -1)
 
 
-def pipeline(vertex, fragment, kind, layout="auto", buffers=(), **settings):
+def pipeline(module, stage, kind, layout="auto", buffers=(), **settings):
     return device.create_render_pipeline(
         layout=layout,
-        vertex={"module": vertex, "buffers": buffers},
-        fragment={"module": fragment, "targets": [{"format": kind}]},
+        vertex={"module": module, "entry_point": f"{stage}vertex", "buffers": buffers},
+        fragment={"module": module, "entry_point": f"{stage}fragment", "targets": [{"format": kind}]},
         **settings,
     )
-
-
-def warp_pipeline(stage, kind, buffers=()):
-    """Of the shipped shader, which GLSL of WebGPU gets without gathers; SPIR-V needs no NO_GATHER."""
-    text = resource("shaders", "own_warp.glsl").read_text(encoding="utf-8")
-    vertex, fragment = (
-        device.create_shader_module(
-            label=each,
-            code=f"#version 450\n#define VULKAN\n#define NO_GATHER\n#define {stage}{each}_STAGE\n{text}",
-        )
-        for each in ("VERTEX", "FRAGMENT")
-    )
-    layout = device.create_pipeline_layout(bind_group_layouts=[warp_bindings])
-    return pipeline(vertex, fragment, kind, layout, buffers)
 
 
 def bound(layout, *resources):
@@ -93,14 +79,15 @@ camera = mesh.camera(drawn_pose, pupil)
 picture, depth = target(camera.size_px, "rgba8unorm-srgb"), target(camera.size_px, "depth32float")
 panel = target(SIZE, "rgba8unorm-srgb")
 nearer = {"format": "depth32float", "depth_write_enabled": True, "depth_compare": "less"}
-module = device.create_shader_module(code=SCENE)
-scene = pipeline(module, module, "rgba8unorm-srgb", depth_stencil=nearer)
+scene = pipeline(device.create_shader_module(code=SCENE), "", "rgba8unorm-srgb", depth_stencil=nearer)
 exact, both = {"texture": {"sample_type": "unfilterable-float"}}, wgpu.ShaderStage.VERTEX | wgpu.ShaderStage.FRAGMENT
 kinds = {"buffer": {}}, {"texture": {}}, exact, exact, {"sampler": {}}, {"sampler": {"type": "non-filtering"}}
 entries = [{"binding": k, "visibility": both, **each} for k, each in enumerate(kinds)]
 warp_bindings = device.create_bind_group_layout(entries=entries)
-to_tiles = warp_pipeline("TILES_", "rg32float")
-warp = warp_pipeline("", "rgba8unorm-srgb", [attributes(2, 0), attributes(4, 1)])
+layout = device.create_pipeline_layout(bind_group_layouts=[warp_bindings])
+module = device.create_shader_module(code=resource("shaders", "own_warp.wgsl").read_text(encoding="utf-8"))
+to_tiles = pipeline(module, "tiles_", "rg32float", layout)
+warp = pipeline(module, "", "rgba8unorm-srgb", layout, [attributes(2, 0), attributes(4, 1)])
 tiles = target([-(-side // 8) for side in camera.size_px], "rg32float")
 samplers = device.create_sampler(mag_filter="linear", min_filter="linear"), device.create_sampler()
 panel_position = buffer(mesh.panel_position, "VERTEX")

@@ -4,7 +4,7 @@
 //
 // Compile it for four stages, each with one of these definitions after "#version 450" (Vulkan, SPIR-V), "420" (OpenGL),
 // "310 es" or "300 es": "#define TILES_VERTEX_STAGE", "TILES_FRAGMENT_STAGE", "VERTEX_STAGE", "FRAGMENT_STAGE". For
-// GLSL in WebGPU, define VULKAN and NO_GATHER as well.
+// WebGPU take own_warp.wgsl, which has the stages as entry points.
 // 1. Once per picture: draw 3 vertices to an RG32F target of ceil(width / 8) x ceil(height / 8), the tiles.
 // 2. Once per frame: draw the mesh's triangles to a target in an sRGB format, without culling and depth test; in OpenGL
 //    with GL_FRAMEBUFFER_SRGB. With three colours, draw three times, each with its own rays and a write mask.
@@ -24,7 +24,7 @@ layout(std140) uniform Warp {
 layout(std140, binding = 0) uniform Warp {
 #endif
     vec4 image_from_ray[3];  // rows for u depth, v depth and depth
-    vec4 clip_from_panel;  // scale, offset of panel_position: (2, -2, -1, 1) upright in OpenGL, (2, 2, -1, -1) in Vulkan
+    vec4 clip_from_panel;  // scale, offset of panel_position: (2, -2, -1, 1), upright; in Vulkan (2, 2, -1, -1)
     vec2 inverse_depth_of_0_and_1;  // inverse depths of the depth buffer's 0 and 1, 1/m: StoredDepth.inverse_of_0_and_1
     float nothing;  // depth of the background: StoredDepth.nothing
     float nearest;  // largest inverse depth in the picture, 1/m, or 1 / near
@@ -57,7 +57,6 @@ void main()
 }
 #else
 
-#include "conventions.glsl"
 #include "texels.glsl"
 #define INVERSE_DEPTHS inverse_depths
 
@@ -79,6 +78,7 @@ void main()
     range = range_of_tile(depth, gl_FragCoord.xy);
 }
 #else
+#include "conventions.glsl"
 AT(0) in vec4 ray;
 AT(1) in float has_ray;
 layout(location = 0) out vec4 colour;

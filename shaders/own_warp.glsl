@@ -3,7 +3,7 @@
 //
 // Compile it for four stages, each with one of these definitions after "#version 450" (Vulkan, SPIR-V), "420" (OpenGL),
 // "310 es" or "300 es": "#define TILES_VERTEX_STAGE", "TILES_FRAGMENT_STAGE", "VERTEX_STAGE", "FRAGMENT_STAGE". For
-// GLSL in WebGPU, define VULKAN and NO_GATHER as well.
+// WebGPU take own_warp.wgsl, which has the stages as entry points.
 // 1. Once per picture: draw 3 vertices to an RG32F target of ceil(width / 8) x ceil(height / 8), the tiles.
 // 2. Once per frame: draw the mesh's triangles to a target in an sRGB format, without culling and depth test; in OpenGL
 //    with GL_FRAMEBUFFER_SRGB. With three colours, draw three times, each with its own rays and a write mask.
@@ -35,7 +35,7 @@ layout(std140) uniform Warp {
 layout(std140, binding = 0) uniform Warp {
 #endif
     vec4 image_from_ray[3];  // rows for u depth, v depth and depth
-    vec4 clip_from_panel;  // scale, offset of panel_position: (2, -2, -1, 1) upright in OpenGL, (2, 2, -1, -1) in Vulkan
+    vec4 clip_from_panel;  // scale, offset of panel_position: (2, -2, -1, 1), upright; in Vulkan (2, 2, -1, -1)
     vec2 inverse_depth_of_0_and_1;  // inverse depths of the depth buffer's 0 and 1, 1/m: StoredDepth.inverse_of_0_and_1
     float nothing;  // depth of the background: StoredDepth.nothing
     float nearest;  // largest inverse depth in the picture, 1/m, or 1 / near
@@ -67,42 +67,6 @@ void main()
     gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0);
 }
 #else
-
-// Projection and half-pixel convention of all shaders (docs/conventions.md, "Pixels" and "Rows").
-//
-// Images are stored with their top row first, on the GPU as in numpy. OpenGL's first row is its lowest, so the
-// projection in scene.vert flips y, and nothing else is flipped: window row 0 is the image's top row, and
-// gl_FragCoord.xy is the pixel, (0, 0) at the outer corner of the top-left pixel, centres at +0.5.
-
-// Project a ray (a, b, c, d), which passes through (c, d, 0) with tangents (a, b) in some camera frame, into an image:
-// its point at inverse depth w appears at at_infinity + w shift. False if the ray does not point forwards in the
-// image's frame. The rows of the image's camera matrix give u depth, v depth and depth of a point (x, y, z, 1) of the
-// ray's frame.
-bool project_ray(vec4 ray, vec4 row_u, vec4 row_v, vec4 row_depth, out vec2 at_infinity, out vec2 shift)
-{
-    float depth = dot(row_depth.xy, ray.xy) - row_depth.z;
-    vec2 forwards = vec2(dot(row_u.xy, ray.xy) - row_u.z, dot(row_v.xy, ray.xy) - row_v.z);
-    at_infinity = forwards / (depth > 0.0 ? depth : 1.0);
-    vec2 start = vec2(dot(row_u.xy, ray.zw) + row_u.w, dot(row_v.xy, ray.zw) + row_v.w);
-    shift = start - (dot(row_depth.xy, ray.zw) + row_depth.w) * at_infinity;
-    return depth > 0.0;
-}
-
-// Largest singular value: image pixels per display pixel, in the direction where their number is largest.
-float largest_stretch(mat2 image_by_display)
-{
-    float squares = dot(image_by_display[0], image_by_display[0]) + dot(image_by_display[1], image_by_display[1]);
-    float area = determinant(image_by_display);
-    return sqrt(0.5 * (squares + sqrt(max(squares * squares - 4.0 * area * area, 0.0))));
-}
-
-// The four texels around a pixel position: `base` is the upper left texel, `weight` the share of the right, lower
-// texels.
-void bilinear_taps(vec2 pixel, out vec2 base, out vec2 weight)
-{
-    base = floor(pixel - 0.5);
-    weight = pixel - 0.5 - base;
-}
 
 // Texture reads of the warp and the passes before it, with alternatives for targets that lack one of the functions.
 
@@ -139,7 +103,7 @@ vec4 gathered(IMAGE image, vec2 shared_corner)
 #ifdef CORNERS  // a texture with the four texels around each corner, one texel larger: one read, not four
     vec2 count = vec2(size_of(CORNERS));
     return textureLod(READ(CORNERS, nearest_texel), (round(shared_corner * (count - 1.0)) + 0.5) / count, 0.0);
-#elif __VERSION__ == 300 || defined(NO_GATHER)  // WebGL 2, and GLSL in WebGPU
+#elif __VERSION__ == 300 || defined(NO_GATHER)  // WebGL 2, and naga, which knows no textureGather in GLSL
     ivec2 last = size_of(image) - 1, corner = ivec2(round(shared_corner * vec2(last + 1)));
     ivec2 low = clamp(corner - 1, ivec2(0), last), high = clamp(corner, ivec2(0), last);
     return vec4(fetched(image, ivec2(low.x, high.y)).x, fetched(image, high).x, fetched(image, ivec2(high.x, low.y)).x,
@@ -159,13 +123,6 @@ vec4 sampled(IMAGE image, vec2 place)
 vec4 nearest_sampled(IMAGE image, vec2 place)
 {
     return textureLod(READ(image, nearest_texel), place, 0.0);
-}
-
-// Sample filtered over a pixel with these sides; textureGrad crashes LLVM 15 in Mesa's compute shaders.
-vec4 sampled_over(IMAGE image, vec2 place, vec2 across, vec2 down)
-{
-    vec2 size = vec2(size_of(image)), right = across * size, below = down * size;
-    return textureLod(READ(image, between_texels), place, 0.5 * log2(max(dot(right, right), dot(below, below))));
 }
 
 #define INVERSE_DEPTHS inverse_depths
@@ -201,6 +158,42 @@ void main()
     range = range_of_tile(depth, gl_FragCoord.xy);
 }
 #else
+// Projection and half-pixel convention of all shaders (docs/conventions.md, "Pixels" and "Rows").
+//
+// Images are stored with their top row first, on the GPU as in numpy. OpenGL's first row is its lowest, so the
+// projection in scene.vert flips y, and nothing else is flipped: window row 0 is the image's top row, and
+// gl_FragCoord.xy is the pixel, (0, 0) at the outer corner of the top-left pixel, centres at +0.5.
+
+// Project a ray (a, b, c, d), which passes through (c, d, 0) with tangents (a, b) in some camera frame, into an image:
+// its point at inverse depth w appears at at_infinity + w shift. False if the ray does not point forwards in the
+// image's frame. The rows of the image's camera matrix give u depth, v depth and depth of a point (x, y, z, 1) of the
+// ray's frame.
+bool project_ray(vec4 ray, vec4 row_u, vec4 row_v, vec4 row_depth, out vec2 at_infinity, out vec2 shift)
+{
+    float depth = dot(row_depth.xy, ray.xy) - row_depth.z;
+    vec2 forwards = vec2(dot(row_u.xy, ray.xy) - row_u.z, dot(row_v.xy, ray.xy) - row_v.z);
+    at_infinity = forwards / (depth > 0.0 ? depth : 1.0);
+    vec2 start = vec2(dot(row_u.xy, ray.zw) + row_u.w, dot(row_v.xy, ray.zw) + row_v.w);
+    shift = start - (dot(row_depth.xy, ray.zw) + row_depth.w) * at_infinity;
+    return depth > 0.0;
+}
+
+// Largest singular value: image pixels per display pixel, in the direction where their number is largest.
+float largest_stretch(mat2 image_by_display)
+{
+    float squares = dot(image_by_display[0], image_by_display[0]) + dot(image_by_display[1], image_by_display[1]);
+    float area = determinant(image_by_display);
+    return sqrt(0.5 * (squares + sqrt(max(squares * squares - 4.0 * area * area, 0.0))));
+}
+
+// The four texels around a pixel position: `base` is the upper left texel, `weight` the share of the right, lower
+// texels.
+void bilinear_taps(vec2 pixel, out vec2 base, out vec2 weight)
+{
+    base = floor(pixel - 0.5);
+    weight = pixel - 0.5 - base;
+}
+
 AT(0) in vec4 ray;
 AT(1) in float has_ray;
 layout(location = 0) out vec4 colour;

@@ -33,7 +33,7 @@ vec4 gathered(IMAGE image, vec2 shared_corner)
 #ifdef CORNERS  // a texture with the four texels around each corner, one texel larger: one read, not four
     vec2 count = vec2(size_of(CORNERS));
     return textureLod(READ(CORNERS, nearest_texel), (round(shared_corner * (count - 1.0)) + 0.5) / count, 0.0);
-#elif __VERSION__ == 300 || defined(NO_GATHER)  // WebGL 2, and GLSL in WebGPU
+#elif __VERSION__ == 300 || defined(NO_GATHER)  // WebGL 2, and naga, which knows no textureGather in GLSL
     ivec2 last = size_of(image) - 1, corner = ivec2(round(shared_corner * vec2(last + 1)));
     ivec2 low = clamp(corner - 1, ivec2(0), last), high = clamp(corner, ivec2(0), last);
     return vec4(fetched(image, ivec2(low.x, high.y)).x, fetched(image, high).x, fetched(image, ivec2(high.x, low.y)).x,
@@ -53,11 +53,4 @@ vec4 sampled(IMAGE image, vec2 place)
 vec4 nearest_sampled(IMAGE image, vec2 place)
 {
     return textureLod(READ(image, nearest_texel), place, 0.0);
-}
-
-// Sample filtered over a pixel with these sides; textureGrad crashes LLVM 15 in Mesa's compute shaders.
-vec4 sampled_over(IMAGE image, vec2 place, vec2 across, vec2 down)
-{
-    vec2 size = vec2(size_of(image)), right = across * size, below = down * size;
-    return textureLod(READ(image, between_texels), place, 0.5 * log2(max(dot(right, right), dot(below, below))));
 }

@@ -75,6 +75,13 @@ vec3 place_on_quad(int k, vec2 at_infinity, vec2 shift)
     return vec3(vec2(dot(row_x, pixel), dot(row_y, pixel)) / dot(row_w, pixel), inverse);
 }
 
+// Sample filtered over a pixel with these sides; textureGrad crashes LLVM 15 in Mesa's compute shaders.
+vec4 sampled_over(IMAGE image, vec2 place, vec2 across, vec2 down)
+{
+    vec2 size = vec2(size_of(image)), right = across * size, below = down * size;
+    return textureLod(READ(image, between_texels), place, 0.5 * log2(max(dot(right, right), dot(below, below))));
+}
+
 // Premultiplied light of an overlay, with smooth edges; 0 outside its quad.
 vec4 overlay_light(int k, vec2 at_infinity, vec2 shift, vec2 across, vec2 down)
 {

@@ -130,13 +130,13 @@ class DrivenPage:
 
 
 @contextlib.contextmanager
-def driven_page(folder: Path) -> Iterator[DrivenPage]:
-    """Start a browser without network; `folder` takes its profile."""
+def driven_page(folder: Path, *options: str) -> Iterator[DrivenPage]:
+    """Start a browser without network, with options of its command; `folder` takes its profile."""
     ends = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 10) for end in (*os.pipe(), *os.pipe())]
     commands, write_to, read_from, answers = ends
     silent = ((os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_WRONLY, 0) for stream in (1, 2))
     actions = [(os.POSIX_SPAWN_DUP2, commands, 3), (os.POSIX_SPAWN_DUP2, answers, 4), *silent]
-    command = [*_command(folder), "--remote-debugging-pipe"]
+    command = [*_command(folder), "--remote-debugging-pipe", *options]
     process = os.posix_spawn(command[0], command, os.environ, file_actions=actions)
     for end in (commands, answers):
         os.close(end)

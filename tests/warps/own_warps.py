@@ -1,5 +1,6 @@
 """Warps by the shipped shaders, and what judges them: a scene of two planes, in closed form."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from types import ModuleType
@@ -118,7 +119,7 @@ class Warp:
         return replace(self, codes=self.codes[::-1], depth=self.depth[::-1], image_from_ray=rows)
 
 
-def stage(name: str, version: str, *defines: str, only_source: bool = False) -> str:
+def stage(name: str, version: str, only_source: bool = False) -> str:
     """Return the shipped shader's text for a stage and a version of GLSL.
 
     With only_source it writes (u, v, 1 where the picture shows something) in place of colour.
@@ -128,7 +129,7 @@ def stage(name: str, version: str, *defines: str, only_source: bool = False) -> 
         colour = "colour = vec4(light, alpha);"
         assert text.count(colour) == 1
         text = text.replace(colour, "colour = vec4(seen_at, float(worst <= DISOCCLUDED), 1.0);")
-    return "\n".join([f"#version {version}", *(f"#define {each}" for each in (f"{name}_STAGE", *defines)), text])
+    return f"#version {version}\n#define {name}_STAGE\n{text}"
 
 
 class OpenGl:
@@ -185,16 +186,27 @@ class OpenGl:
         return answer
 
 
+def wgsl(name: str, only_source: bool) -> tuple[str, str]:
+    """Return the shipped WGSL and the entry point of a stage; `only_source` as in `stage`."""
+    text = resource("shaders", "own_warp.wgsl").read_text(encoding="utf-8")
+    if only_source:
+        text, count = re.subn(
+            r"fragment_colour = .*;", "fragment_colour = vec4f(fragment_seen_at, f32(fragment_worst <= 1), 1);", text
+        )
+        assert count == 1
+    return text, name.lower()
+
+
 class WebGpu:
     """The few calls that draw a mesh with `own_warp.glsl` in WebGPU.
 
     Args:
         wgpu: the module.
-        compiled: makes what WebGPU is given of a stage's text and "vert" or "frag": SPIR-V, or GLSL.
+        code: returns the code, SPIR-V or WGSL, and the entry point of a stage, as `wgsl` does.
     """
 
-    def __init__(self, wgpu: ModuleType, compiled: Callable[[str, str], bytes | str]) -> None:
-        self.device, self._compiled = wgpu.gpu.request_adapter_sync().request_device_sync(), compiled
+    def __init__(self, wgpu: ModuleType, code: Callable[[str, bool], tuple[bytes | str, str]]) -> None:
+        self.device, self._code = wgpu.gpu.request_adapter_sync().request_device_sync(), code
         unfiltered: dict[str, Any] = {"texture": {"sample_type": "unfilterable-float"}}
         resources: list[dict[str, Any]] = [{"buffer": {}}, {"texture": {}}, unfiltered, unfiltered]
         resources += [{"sampler": {}}, {"sampler": {"type": "non-filtering"}}]
@@ -219,10 +231,9 @@ class WebGpu:
     ) -> Any:
         """Begin a pass of a stage's programs."""
         device = self.device
-        texts = stage(f"{name}VERTEX", "450"), stage(f"{name}FRAGMENT", "450", only_source=only_source)
+        codes = (self._code(f"{name}{kind}", only_source) for kind in ("VERTEX", "FRAGMENT"))
         vertex, fragment = (
-            {"module": device.create_shader_module(label=kind, code=self._compiled(text, kind)), "entry_point": "main"}
-            for kind, text in zip(("vert", "frag"), texts, strict=True)
+            {"module": device.create_shader_module(code=code), "entry_point": entry} for code, entry in codes
         )
         pipeline = device.create_render_pipeline(
             layout=device.create_pipeline_layout(bind_group_layouts=[self._bindings]),

@@ -1,3 +1,4 @@
+import json
 import runpy
 import shutil
 import subprocess
@@ -8,10 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import driven_page, needs_browser
 from flat_image import PrismPlate
 from present import narrowed
 from warps.composing import HEAD, planar
-from warps.own_warps import NEAR_M, OpenGl, Warp, WebGpu, drawn, expected_source, light, seen_by, stage
+from warps.own_warps import NEAR_M, OpenGl, Warp, WebGpu, drawn, expected_source, light, seen_by, stage, wgsl
 
 from wlr_render import StoredDepth
 from wlr_render.engine import DepthKind
@@ -30,6 +32,7 @@ from wlr_render.warp.ray_map import solve_pixels
 from wlr_render.warp.warp_mesh import WarpMesh
 
 SIZE = 180, 200
+KINDS = {"TILES_VERTEX": "vert", "TILES_FRAGMENT": "frag", "VERTEX": "vert", "FRAGMENT": "frag"}
 STORED = StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf)
 TURNED = HEAD @ transforms.rigid(transforms.rotation_about("y", np.deg2rad(0.5)), np.array([0.008, -0.004, 0.003]))
 MOVED = HEAD @ transforms.rigid(np.eye(3), np.array([0.06, -0.02, 0.05]))
@@ -270,45 +273,68 @@ def test_the_background_is_at_infinity_whatever_the_far_plane(
     assert np.abs(source[shown, :2] - expected[shown]).max() < 0.02
 
 
-def spirv_of(text: str, stage_name: str, folder: Path) -> Path:
-    """Compile a text for Vulkan; skips the test without a compiler."""
+def spirv_of(name: str, folder: Path, only_source: bool = False) -> Path:
+    """Compile a stage for Vulkan; skips the test without a compiler."""
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         pytest.skip("glslangValidator is not installed (glslang-tools).")
-    source, compiled = folder / f"warp.{stage_name}", folder / f"{stage_name}.spv"
-    source.write_text(text, encoding="utf-8")
+    source, compiled = folder / f"450.{KINDS[name]}", folder / f"{name}.spv"
+    source.write_text(stage(name, "450", only_source), encoding="utf-8")
     result = subprocess.run([compiler, "-V", source, "-o", compiled], capture_output=True, text=True)
     assert result.returncode == 0, result.stdout
     return compiled
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("given", ["SPIR-V", "GLSL"])
+@pytest.mark.parametrize("given", ["SPIR-V", "WGSL"])
 def test_the_warp_in_webgpu_shows_what_the_exact_rays_meet(
     eye: Eye, mesh: WarpMesh, given: str, tmp_path: Path
 ) -> None:
     wgpu = pytest.importorskip("wgpu", reason="wgpu is not installed; pip install '.[wgpu]'.")
 
-    def compiled(text: str, stage_name: str) -> bytes | str:
-        if given == "GLSL":
-            return text.replace("\n", "\n#define VULKAN\n#define NO_GATHER\n", 1)
-        return spirv_of(text, stage_name, tmp_path).read_bytes()
+    def spirv(name: str, only_source: bool) -> tuple[bytes, str]:
+        return spirv_of(name, tmp_path, only_source).read_bytes(), "main"
 
     try:
-        gpu = WebGpu(wgpu, compiled)
+        gpu = WebGpu(wgpu, wgsl if given == "WGSL" else spirv)
     except RuntimeError as error:
         pytest.skip(f"WebGPU finds no device; lavapipe of mesa-vulkan-drivers is one ({error}).")
     check(gpu, eye, mesh, MOVED)
     check_wire(gpu, eye, mesh, 0.1)
 
 
-@pytest.mark.parametrize("stage_name", ["TILES_VERTEX", "TILES_FRAGMENT", "VERTEX", "FRAGMENT"])
-def test_the_warp_compiles_for_each_language(stage_name: str, tmp_path: Path) -> None:
-    kind = "vert" if "VERTEX" in stage_name else "frag"
+@needs_browser
+@pytest.mark.slow
+def test_a_browser_accepts_the_wgsl(tmp_path: Path) -> None:
+    code, page = json.dumps(wgsl("", False)[0]), tmp_path / "empty.html"
+    page.write_text("", encoding="utf-8")
+    with driven_page(tmp_path, "--enable-unsafe-webgpu") as browser:
+        browser.open(page, "document.readyState == 'complete'")
+        messages = browser.value(f"""(async () => {{
+            const adapter = await navigator.gpu.requestAdapter();
+            if (!adapter)
+                return null;
+            const device = await adapter.requestDevice();
+            const module = device.createShaderModule({{code: {code}}});
+            const attribute = k => ({{format: `float32x${{2 * k + 2}}`, offset: 0, shaderLocation: k}});
+            const buffers = [0, 1].map(k => ({{arrayStride: 8 * k + 8, attributes: [attribute(k)]}}));
+            for (const [stage, format, buffer] of [["tiles_", "rg32float", []], ["", "rgba8unorm-srgb", buffers]])
+                await device.createRenderPipelineAsync({{
+                    layout: "auto", vertex: {{module, entryPoint: stage + "vertex", buffers: buffer}},
+                    fragment: {{module, entryPoint: stage + "fragment", targets: [{{format}}]}}}});
+            return (await module.getCompilationInfo()).messages.map(each => each.message);
+        }})()""")
+    if messages is None:
+        pytest.skip("The browser finds no WebGPU device; Debian's package chromium brings SwiftShader.")
+    assert messages == []
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_warp_compiles_for_each_language(name: str, tmp_path: Path) -> None:
     for version in ("420", "310 es", "300 es"):
-        source = tmp_path / f"{version}.{kind}"
-        source.write_text(stage(stage_name, version), encoding="utf-8")
-        compiled = spirv_of(stage(stage_name, "450"), kind, tmp_path)
+        source = tmp_path / f"{version}.{KINDS[name]}"
+        source.write_text(stage(name, version), encoding="utf-8")
+        compiled = spirv_of(name, tmp_path)
         result = subprocess.run(["glslangValidator", source], capture_output=True, text=True)
         assert result.returncode == 0, result.stdout
     if shutil.which("spirv-cross") is None:
@@ -318,8 +344,29 @@ def test_the_warp_compiles_for_each_language(stage_name: str, tmp_path: Path) ->
         assert translated.returncode == 0, translated.stderr
 
 
-def test_the_warp_for_others_is_the_kernel() -> None:
-    """The file is what `release/own_warp.py` writes today."""
-    root = Path(__file__).parents[2]
-    written = runpy.run_path(str(root / "release" / "own_warp.py"))["own_warp"]()
-    assert resource("shaders", "own_warp.glsl").read_text(encoding="utf-8") == written
+@pytest.fixture(scope="module")
+def writer() -> dict[str, Any]:
+    """Names of the script that writes the shaders for others."""
+    return runpy.run_path(str(Path(__file__).parents[2] / "release" / "own_warp.py"))
+
+
+def shipped(language: str) -> str:
+    return resource("shaders", f"own_warp.{language}").read_text(encoding="utf-8")
+
+
+def test_the_warp_for_others_is_the_kernel(writer: dict[str, Any]) -> None:
+    assert shipped("glsl") == writer["own_warp"]()
+
+
+def test_the_wgsl_is_of_todays_glsl(writer: dict[str, Any]) -> None:
+    assert writer["is_of"](shipped("wgsl"), shipped("glsl")), "Install naga-cli and run release/own_warp.py."
+
+
+def test_the_wgsl_is_what_naga_writes(writer: dict[str, Any]) -> None:
+    naga = shutil.which("naga")
+    if naga is None:
+        pytest.skip("naga is not installed; cargo install naga-cli.")
+    written, kept = writer["wgsl_of"](shipped("glsl"), naga), shipped("wgsl")
+    if written.splitlines()[1] != kept.splitlines()[1]:
+        pytest.skip("naga is not installed in the version that wrote own_warp.wgsl; other versions write other text.")
+    assert written == kept
