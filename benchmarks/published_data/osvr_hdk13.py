@@ -105,25 +105,3 @@ def _areas(triangle: FloatArray) -> FloatArray:
     """Return twice the signed areas (t,) of triangles (t, 3, 2)."""
     first, second = triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
     return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-
-
-def relief_swim_arcmin_per_mm(near: LensTable, far: LensTable, moved_mm: float, radius_deg: float) -> float:
-    """Return the rms change of direction per millimetre of eye relief, over field angles within `radius_deg`.
-
-    The change on the screen is converted to an angle with the near table's scale within 5 degrees of the axis.
-
-    Raises:
-        BadInputError: the tables have no field angles in common there.
-    """
-    # The files print angles with two decimals, so equal text gives equal bits.
-    match = (near.field_deg[:, None] == far.field_deg[None]).all(axis=-1)
-    first, second = np.nonzero(match)
-    inside = np.linalg.norm(near.field_deg[first], axis=1) <= radius_deg
-    central = np.linalg.norm(near.field_deg, axis=1) <= 5.0
-    if not inside.any() or not central.any():
-        raise BadInputError(
-            f"the two tables share no field angles within {radius_deg:g} degrees; take two of one lens."
-        )
-    mm_per_deg = np.sqrt(np.sum(near.screen_mm[central] ** 2) / np.sum(near.field_deg[central] ** 2))
-    change = np.linalg.norm(far.screen_mm[second] - near.screen_mm[first], axis=1)[inside]
-    return float(np.sqrt(np.mean(change**2)) / mm_per_deg * 60.0 / moved_mm)
