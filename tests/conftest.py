@@ -2,24 +2,21 @@
 
 import contextlib
 import os
-import pickle
 import re
 
 # Before numpy is imported, as the command line does: BLAS threads only slow down the thin matrix products here.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from collections.abc import Callable, Generator, Iterator
-from functools import wraps
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import pytest
 from _pytest.terminal import TerminalReporter
 from flat_image import flat_image_eye
 from gl_caller import Caller
 from memo import memoised, shared_folder
-from numpy.typing import ArrayLike
 from present import narrowed
 from small_photo_session import SmallSession
 
@@ -27,16 +24,12 @@ from wlr_render.calibration.calibrate_session import SessionCalibration
 from wlr_render.draw.mitsuba_frames import PathTracer
 from wlr_render.errors import MissingGlError
 from wlr_render.extras import MissingExtraError
-from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.gl import gl
 from wlr_render.gl.context import GlContext
 from wlr_render.mappings import Eye
-from wlr_render.numerics.arrays import Float32Array
 from wlr_render.report.blocks import Report
 from wlr_render.scene.scene import Scene
 from wlr_render.warp import gl_backend, gl_ray_maps, raster_camera
-from wlr_render.warp.choose_grid import ChosenWarpGrid
-from wlr_render.warp.ray_map import RayMapPlan
 
 pytest_plugins = ["small_headsets", "toy_headsets"]
 
@@ -202,28 +195,12 @@ CHOICES = (
 )
 """Functions of a model alone, which solve thousands of its rays: the most part of a compositor's start."""
 
-Chosen = ChosenWarpGrid | RayMapPlan | Float32Array | float
-_CHOSEN: dict[tuple[str, bytes], Chosen] = {}
-
-
-def remembered(function: Callable[..., Any]) -> Callable[..., Chosen]:
-    """Return the function with its answers kept for models that are equal, whoever made them."""
-
-    @wraps(function)
-    def with_memory(*given: ArrayLike | Eye | Pinhole) -> Chosen:
-        key = function.__name__, pickle.dumps(given)
-        if key not in _CHOSEN:
-            _CHOSEN[key] = function(*given)
-        return _CHOSEN[key]
-
-    return with_memory
-
 
 @pytest.fixture
-def choices_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def choices_made_once(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Choose for each model once in a run; tests/warps hold the choices to their laws."""
     for module, name in CHOICES:
-        monkeypatch.setattr(module, name, remembered(getattr(module, name)))
+        monkeypatch.setattr(module, name, memoised(getattr(module, name), shared_folder(tmp_path_factory)))
 
 
 @pytest.fixture

@@ -88,7 +88,7 @@ def test_a_file_of_the_current_folder_is_found_whatever_its_suffix(
         ("a_mm = true", r"'a_mm' must be a number"),
         ("a_m = 1", r"key 'a_mm' is missing \(found 'a_m' instead\)"),
         ("a_mm = 1\nb = 2", r"unknown key 'b'; remove it"),
-        ("a_mm = 1\na_cm = 2", r"unknown key 'a_cm'; did you mean 'a_mm'\?"),
+        ("a_mm = 1\na_cm = 2", r"unknown key 'a_cm'; remove it"),
         ("\na_mm = =", r"cannot be read as a TOML file .*line 2"),
         ("a_mm = 1" + 400 * "0", r"'a_mm' must be finite and below 1e\+18, not 1000.*\.\.\..*0\.$"),
         ("a_mm = 0x1" + 4000 * "0", r"'a_mm' must be finite and below 1e\+18, not a large int"),
@@ -103,6 +103,19 @@ def test_a_file_of_the_current_folder_is_found_whatever_its_suffix(
 def test_each_fault_in_a_toml_file_gets_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
     with pytest.raises(BadInputError, match=sentence):
         read_a(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("key", "remedy"), [("eye", "remove it."), ("eye_bx", "did you mean 'eye_box'?"), ("eye_box_mm", "did you mean")]
+)
+def test_only_near_spellings_of_a_key_are_suggested(key: str, remedy: str) -> None:
+    given = Table({key: 1}, "thing.toml")
+    assert not given.has("eye_box")
+    with pytest.raises(BadInputError, match=f"unknown key '{key}'; {re.escape(remedy)}"):
+        given.finish()
+    found = "" if key == "eye" else rf" \(found '{key}' instead\)"
+    with pytest.raises(BadInputError, match=f"^thing.toml: key 'eye_box' is missing{found}; write it"):
+        given.number("eye_box")
 
 
 @pytest.mark.parametrize(
@@ -219,7 +232,7 @@ WRITERS = {
     "a.tiff": lambda path: image_files.write_map(path, _NOISE.astype(np.float32)),
     "a.pfm": lambda path: image_files.write_map(path, _NOISE.astype(np.float32)),
     "a.tif": lambda path: write_photograph(path, _NOISE[..., 0]),
-    "a.json": lambda path: atomic_files.write_text(path, toml_files.json_text({"values": _NOISE.ravel().tolist()})),
+    "a.json": lambda path: toml_files.write_json(path, {"values": _NOISE.ravel().tolist()}),
     "a.toml": lambda path: toml_files.write_toml(path, {"rows": _NOISE[:9].tolist()}),
     "report.html": lambda path: atomic_files.write_text(path, html_page(_REPORT, _ORIGIN)),
     "board.svg": lambda path: write_board_svg(_BOARD, path),

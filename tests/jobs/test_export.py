@@ -286,7 +286,8 @@ def test_pupil_aside_costs_what_parallax_costs(straight_device: str, tmp_path: P
         ({"format": "monado"}, "monado holds both eyes in one file; give --eye both"),
         ({"format": "monado", "eye": "both", "source_axes": "field"}, "leave out --source-axes"),
         ({"frame_limit": 3}, "--frames is used with --eye-track only"),
-        ({"red_model": Path("red.json")}, "--red-model and --blue-model go together"),
+        ({"red_model": Path("red.json")}, "--red-model is used with --blue-model only; leave it out, or give"),
+        ({"blue_model": Path("blue.json")}, "--blue-model is used with --red-model only; leave it out, or give"),
         ({"source_size": (100, 100), "resolution": 2.0}, "--resolution has no effect with --source-size"),
     ],
 )

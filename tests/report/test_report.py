@@ -4,6 +4,7 @@ import dataclasses
 import enum
 import hashlib
 import json
+import os
 import pickle
 import re
 from collections.abc import Sequence
@@ -17,7 +18,8 @@ from matplotlib.figure import Figure
 
 from wlr_render import __version__
 from wlr_render.io.atomic_files import write_figure
-from wlr_render.io.toml_files import json_text
+from wlr_render.io.input_files import LIMITS
+from wlr_render.io.toml_files import write_json
 from wlr_render.report.blocks import Block, Estimate, Number, Picture, Plot, Report, ReportTable, Section, Text, table
 from wlr_render.report.plots import bars
 from wlr_render.report.records import to_jsonable
@@ -88,6 +90,18 @@ def test_a_report_inside_its_input_does_not_change_the_hash(tmp_path: Path) -> N
 
 def test_an_input_that_is_gone_loses_no_report(tmp_path: Path) -> None:
     assert input_hash(tmp_path, [tmp_path / "gone"]) == "not readable (No such file or directory)"
+
+
+def test_a_file_that_is_too_large_to_be_read_is_not_hashed(tmp_path: Path) -> None:
+    assert max(size for name, size in vars(LIMITS).items() if name.endswith("_bytes")) == LIMITS.picture_bytes
+    (tmp_path / "session").mkdir()
+    big = tmp_path / "session" / "big.png"
+    big.touch()
+    os.truncate(big, 2 << 30)
+    assert input_hash(tmp_path, [big]) == "not read (2147483648 bytes)"
+    as_it_was = input_hash(tmp_path / "out", [big.parent])
+    os.truncate(big, 3 << 30)
+    assert input_hash(tmp_path / "out", [big.parent]) != as_it_was
 
 
 def test_a_cell_of_several_lines_stays_in_its_row() -> None:
@@ -173,9 +187,9 @@ def test_records_become_json_by_their_fields() -> None:
         to_jsonable(object())
 
 
-def test_numbers_of_a_list_share_a_line() -> None:
+def test_numbers_of_a_list_share_a_line(tmp_path: Path) -> None:
     value = {"x": [1.0, 2.5], "y": [], "z": [{"a": ["[ b\n  c", "]"]}], "w": [[1, 2], [3, 4]]}
-    text = json_text(value)
+    text = write_json(tmp_path / "a.json", value).read_text()
     assert json.loads(text) == value
     assert '"x": [1.0,2.5],' in text
 

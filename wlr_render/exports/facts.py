@@ -3,7 +3,6 @@
 import json
 import math
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import numpy as np
 from wlr_render.exports.export_view import ALL_COLOURS, ExportedView
 from wlr_render.exports.format import Format, Loss
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
-from wlr_render.io.atomic_files import write_text
 from wlr_render.numerics.arrays import FloatArray
 
 JUDGED_DEPTH_M = 0.5
@@ -168,8 +166,3 @@ def _depth_number(depth_m: float) -> float | str:
 def header_texts(record: dict[str, Any]) -> dict[str, str]:
     """Return the facts as the texts of a header."""
     return {key: value if isinstance(value, str) else json.dumps(value) for key, value in record.items()}
-
-
-def write_facts(path: Path, record: dict[str, Any]) -> Path:
-    """Write facts as JSON next to a file whose format has no header."""
-    return write_text(path, json.dumps(record, indent=1) + "\n")

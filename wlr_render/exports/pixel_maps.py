@@ -8,9 +8,10 @@ from typing import Literal
 import numpy as np
 
 from wlr_render.exports.export_view import ExportedView, has_ray
-from wlr_render.exports.facts import facts, header_texts, write_facts
+from wlr_render.exports.facts import facts, header_texts
 from wlr_render.exports.format import Capabilities, Format
 from wlr_render.io.atomic_files import write_arrays, write_image
+from wlr_render.io.toml_files import write_json
 from wlr_render.scene.exr_file import write_exr
 from wlr_render.scene.image_files import write_map
 
@@ -97,7 +98,7 @@ class FloatMap(Format):
         values[~has_ray(source)] = np.nan
         map_path, facts_path = paths
         yield write_map(map_path, values)
-        yield write_facts(facts_path, facts(view, colour, self))
+        yield write_json(facts_path, facts(view, colour, self))
 
 
 class Ffmpeg(Format):
@@ -131,7 +132,7 @@ class Ffmpeg(Format):
         *pair, facts_path = paths
         for axis, path in enumerate(pair):
             yield write_image(path, np.ascontiguousarray(column_row[..., axis]))
-        yield write_facts(facts_path, facts(view, colour, self))
+        yield write_json(facts_path, facts(view, colour, self))
 
 
 _RAY_CONVENTION = (

@@ -23,6 +23,7 @@ _LARGEST = 1e18
 """Largest number in a file: far above every quantity in these units, and its powers do not overflow."""
 _LONGEST_TEXT = 2000
 _KEYS_COMPARED = 1000
+_NEAR_SPELLING = 0.75  # least similarity of a mistyped key, as difflib measures it; 'eye' and 'eye_box' have 0.6
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){50}""")
 """Dotted keys of 50 parts: the time that `tomllib` takes grows with the square of their number."""
 
@@ -53,7 +54,7 @@ class Table:
         self._read.add(key)
         if key not in self._content:
             unread = (k for k in self._content if k not in self._read)
-            close = difflib.get_close_matches(key, itertools.islice(unread, _KEYS_COMPARED), 1)
+            close = difflib.get_close_matches(key, itertools.islice(unread, _KEYS_COMPARED), 1, _NEAR_SPELLING)
             hint = f" (found {shown(close[0])} instead)" if close else ""
             raise self.fail(f"key '{key}' is missing{hint}; write it.")
         return self._content[key]
@@ -223,7 +224,8 @@ class Table:
         """Refuse keys that were not read, so that typos are reported."""
         for key in self._content:
             if key not in self._read:
-                close = difflib.get_close_matches(key[:100], sorted(self._read | self._asked_for), 1)
+                absent = sorted(self._asked_for - self._content.keys())
+                close = difflib.get_close_matches(key[:100], absent, 1, _NEAR_SPELLING)
                 remedy = f"did you mean '{close[0]}'?" if close else "remove it."
                 raise self.fail(f"unknown key {shown(key)}; {remedy}")
 
@@ -256,13 +258,21 @@ def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return content
 
 
-def json_text(value: Any, margin: str = "\n") -> str:
-    """Return JSON with a line for each entry, and lists without nested tables or lists on one line."""
+def write_json(path: str | Path, value: Any) -> Path:
+    """Write JSON atomically, with a line for each entry, and lists without nested tables or lists on one line.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    return write_text(path, _json_text(value) + "\n")
+
+
+def _json_text(value: Any, margin: str = "\n") -> str:
     if isinstance(value, dict) and value:
-        entries = [f"{json.dumps(key)}: {json_text(entry, margin + ' ')}" for key, entry in value.items()]
+        entries = [f"{json.dumps(key)}: {_json_text(entry, margin + ' ')}" for key, entry in value.items()]
         opening, closing = "{}"
     elif isinstance(value, list) and any(isinstance(entry, dict | list) for entry in value):
-        entries, opening, closing = [json_text(entry, margin + " ") for entry in value], "[", "]"
+        entries, opening, closing = [_json_text(entry, margin + " ") for entry in value], "[", "]"
     else:
         return json.dumps(value, allow_nan=False, separators=(",", ":"))
     return f"{opening}{margin} " + f",{margin} ".join(entries) + f"{margin}{closing}"

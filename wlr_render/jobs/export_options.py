@@ -9,7 +9,17 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.exports.formats import FormatName, format_of
 from wlr_render.jobs import limits
-from wlr_render.jobs.options import Against, Eyes, NoEffect, Options, Range, described, described_size, option_group
+from wlr_render.jobs.options import (
+    Against,
+    Eyes,
+    NoEffect,
+    OnlyWith,
+    Options,
+    Range,
+    described,
+    described_size,
+    option_group,
+)
 from wlr_render.numerics.arrays import FloatArray
 
 _PUPIL = option_group("Pupil positions", 1)
@@ -63,18 +73,28 @@ class ExportOptions(Options):
         float | None,
         described(f"Frames per second of --eye-track (default: {_FRAMES_PER_SECOND:g}).", group=_PUPIL),
         Range(above=0, at_most=1000),
+        OnlyWith("eye_track"),
     ] = None
     frame_limit: Annotated[
         int | None,
         described("Maximum number of frames along --eye-track (default: all).", name="--frames", group=_PUPIL),
         Range(at_least=1, at_most=limits.FRAMES),
+        OnlyWith("eye_track"),
     ] = None
     per_colour: Annotated[
         bool,
         described("Separate maps for red, green and blue; a device is traced in all three.", flag=True, group=_COLOURS),
     ] = False
-    red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.", group=_COLOURS)] = None
-    blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.", group=_COLOURS)] = None
+    red_model: Annotated[
+        Path | None,
+        described("Model file in red light; needs --blue-model.", group=_COLOURS),
+        OnlyWith("blue_model"),
+    ] = None
+    blue_model: Annotated[
+        Path | None,
+        described("Model file in blue light; needs --red-model.", group=_COLOURS),
+        OnlyWith("red_model"),
+    ] = None
     resolution: Annotated[
         float,
         described("Resolution of the source picture; 1: about as fine as the panel.", group=_SOURCE),
@@ -122,11 +142,6 @@ class ExportOptions(Options):
         if self.viewpoint_mm is not None and count != due:
             whose = "x y z of the left eye, then of the right" if self.eye == "both" else f"x y z of the {self.eye} eye"
             raise BadInputError(f"--viewpoint-mm has {count} numbers; give {due}: {whose}.")
-        for flag, value in (("--frames", self.frame_limit), ("--fps", self.fps)):
-            if value is not None and self.eye_track is None:
-                raise BadInputError(f"{flag} is used with --eye-track only; leave it out, or give a trajectory.")
-        if (self.red_model is None) != (self.blue_model is None):
-            raise BadInputError("--red-model and --blue-model go together; give both or neither.")
         if self.source_size is not None and self.resolution != 1.0:
             raise BadInputError("--resolution has no effect with --source-size; leave out one of them.")
         _require_held(self)

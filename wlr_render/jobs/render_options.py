@@ -167,8 +167,16 @@ class RenderOptions(SpreadOptions):
             group=_COLOURS,
         ),
     ] = False
-    red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.", group=_COLOURS)] = None
-    blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.", group=_COLOURS)] = None
+    red_model: Annotated[
+        Path | None,
+        described("Model file in red light; needs --blue-model.", group=_COLOURS),
+        OnlyWith("blue_model"),
+    ] = None
+    blue_model: Annotated[
+        Path | None,
+        described("Model file in blue light; needs --red-model.", group=_COLOURS),
+        OnlyWith("red_model"),
+    ] = None
     video: Annotated[
         bool,
         described("Also write EYE.mp4 (VP9), and of both eyes stereo.mp4, side by side.", flag=True, group=_ALSO),
@@ -205,15 +213,13 @@ class RenderOptions(SpreadOptions):
     against: Against = None
 
     def __post_init__(self) -> None:
-        """Check that red and blue models are given together, and that several frames have a trajectory."""
+        """Check that several frames have a trajectory."""
         super().__post_init__()
         if self.frame_limit not in (None, 1) and self.head is None and self.eye_track is None:
             raise BadInputError(
                 "--frames is used with --head or --eye-track only; leave it out (one frame of each eye is drawn), or "
                 "give a trajectory."
             )
-        if (self.red_model is None) != (self.blue_model is None):
-            raise BadInputError("--red-model and --blue-model go together; give both or neither.")
 
     @property
     def has_colours(self) -> bool:

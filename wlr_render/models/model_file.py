@@ -29,10 +29,9 @@ from typing import Any
 
 from wlr_render.errors import BadInputError
 from wlr_render.html_summary import SummaryTable, html_summary
-from wlr_render.io.atomic_files import write_text
 from wlr_render.io.file_records import record_keys
 from wlr_render.io.input_files import as_bad_input
-from wlr_render.io.toml_files import Table, json_text, read_json
+from wlr_render.io.toml_files import Table, read_json, write_json
 from wlr_render.mappings import DisplayMapping, Eye, SeeThroughMapping
 from wlr_render.models.absent import ABSENT_DISPLAY, ABSENT_SEE_THROUGH, Absent
 from wlr_render.models.fitted_model import FittedModel
@@ -102,7 +101,7 @@ def save_eye_models(path: str | Path, models: Sequence[EyeModel]) -> Path:
         "device": devices.pop(),
         "eyes": [_eye_record(by_eye[eye]) for eye in sorted(by_eye)],
     }
-    return write_text(path, json_text(record) + "\n")
+    return write_json(path, record)
 
 
 def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, ...]:

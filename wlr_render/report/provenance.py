@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from wlr_render import __version__
+from wlr_render.io.input_files import LIMITS
 from wlr_render.report.blocks import Report
 
 
@@ -18,7 +19,8 @@ class InputFile:
     """An input of a result: its name and the SHA-256 of its content.
 
     The hash of a folder covers the sorted list of its files' relative names and hashes, without files of an output
-    folder inside it. For an input that can no longer be read, the reason replaces the hash.
+    folder inside it. For an input that can no longer be read, or that is too large for any reader, the reason replaces
+    the hash.
     """
 
     name: str
@@ -71,5 +73,7 @@ def _sha256(path: Path, output: Path) -> str:
 
 
 def _file_sha256(path: Path) -> str:
+    if (size := path.stat().st_size) > LIMITS.picture_bytes:  # the largest limit of a file: no reader has read it
+        return f"not read ({size} bytes)"
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from wlr_render.io.atomic_files import write_text
 from wlr_render.io.escapes import markdown_text
-from wlr_render.io.toml_files import Table, json_text
+from wlr_render.io.toml_files import Table, write_json
 from wlr_render.report.blocks import Block, Picture, Plot, Report, ReportTable, Section, Text
 from wlr_render.report.comparison import FORMAT, VERSION, RecordedReport, comparison
 from wlr_render.report.html import html_page
@@ -40,7 +40,7 @@ def save_report(
     written = [
         write_text(folder / f"{stem}.html", html_page(report, origin)),
         write_text(folder / f"{stem}.md", markdown(report, folder)),
-        write_text(folder / f"{stem}.json", json_text(to_jsonable(record)) + "\n"),
+        write_json(folder / f"{stem}.json", to_jsonable(record)),
     ]
     return dataclasses.replace(report, files=(*report.files, *written))
 

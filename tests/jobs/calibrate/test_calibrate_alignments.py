@@ -81,6 +81,17 @@ def test_what_is_wrong_in_the_file_is_named(alignments: Path, tmp_path: Path) ->
         calibrate(CalibrateOptions(str(alignments), out=out, seed=2))
 
 
+def test_an_eye_on_the_side_of_the_other_eye_is_doubted(alignments: Path, tmp_path: Path) -> None:
+    content = tomllib.loads(alignments.read_text())
+    content["eye_box"]["centre_m"][0] += 0.032
+    for each in content["alignment"]:
+        each["point_m"][0] += 0.032
+    for eye, count in (("right", 0), ("left", 1)):
+        write_toml(alignments, content | {"eye": eye})
+        warnings = calibrate(CalibrateOptions(str(alignments), out=tmp_path / eye)).warnings
+        assert sum("is at x = +3" in warning and "where the right eye is" in warning for warning in warnings) == count
+
+
 def changed(path: Path, number: int, **values: list[float]) -> None:
     """Change keys of one alignment of a file."""
     content = tomllib.loads(path.read_text())

@@ -418,6 +418,26 @@ def test_what_is_wrong_is_told_in_a_sentence(
     assert fit_warnings(with_report(linear, **changes), [f"set {number}" for number in range(12)]) == [warning]
 
 
+@pytest.mark.parametrize(
+    ("eye", "x_m", "other"),
+    [("left", 0.032, "right"), ("right", -0.032, "left"), ("left", -0.032, ""), ("left", 0, "")],
+)
+def test_an_eye_on_the_side_of_the_other_eye_is_doubted_first(
+    linear: tuple[Calibration, FitReport], eye: str, x_m: float, other: str
+) -> None:
+    fit = with_report(linear, noise_arcmin=1.0)
+    box = replace(fit.mappings.eye_box, centre=np.array([x_m, 0.0, 0.03]))
+    first, *others = fit_warnings(replace(fit, mappings=replace(fit.mappings, eye=eye, eye_box=box)))
+    if other:
+        assert first == (
+            f"The eye box of the {eye} eye is at x = {1e3 * x_m:+g} mm (x right), where the {other} eye is if the "
+            "frame's origin lies between the eyes: check 'eye', 'frame' and the sign of x."
+        )
+        assert len(others) == 1
+    else:
+        assert first.startswith("Display: the noise found")
+
+
 def test_a_row_of_positions_is_advised_where_it_pays(linear: tuple[Calibration, FitReport]) -> None:
     fit = with_report(linear, one_more=OneMore("a row of 5 camera positions at y = +4.0 mm", 0.1))
     (advice,) = fit_advice(fit)

@@ -3,7 +3,6 @@
 Device frame (OpenXR), metres; cameras have OpenCV's axes and pixels count from the outer corner of the top-left pixel.
 """
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
@@ -18,8 +17,7 @@ from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
 from wlr_render.calibration.poses import Pose, adjoint
 from wlr_render.captures.camera_lens_file import require_plausible_lens
 from wlr_render.errors import BadInputError
-from wlr_render.io.atomic_files import write_text
-from wlr_render.io.toml_files import Table, read_json
+from wlr_render.io.toml_files import Table, read_json, write_json
 from wlr_render.lenses.lens import Lens
 from wlr_render.lenses.lens_camera import LensCamera
 from wlr_render.lenses.residual_lens import ResidualLens
@@ -65,7 +63,7 @@ def save_station(path: str | Path, bench: CalibratedBench) -> Path:
             "repeatability": {"translation_um": 1e6 * sizes["shift"], "rotation_urad": 1e6 * sizes["turn"]},
             "smooth_size": {"translation_um": 1e6 * sizes["smooth shift"], "rotation_urad": 1e6 * sizes["smooth turn"]},
         }
-    return write_text(path, json.dumps(content, indent=1) + "\n")
+    return write_json(path, content)
 
 
 def read_station(path: str | Path) -> Table:

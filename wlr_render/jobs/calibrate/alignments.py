@@ -13,6 +13,7 @@ from wlr_render.jobs.calibrate.calibrate_options import (
     require_readable_models,
     save_models,
 )
+from wlr_render.jobs.calibrate.fit_findings import eye_warnings
 from wlr_render.jobs.options import ProgressArgument
 from wlr_render.models.registration import model_registration_covariance
 from wlr_render.numerics.arrays import FloatArray
@@ -53,7 +54,7 @@ def calibrate_alignments(options: CalibrateOptions, *, progress: ProgressArgumen
         f"{fit.hand_arcmin:.2g}' per axis; the eye is at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm, known to "
         f"({sigma[0]:.1f}, {sigma[1]:.1f}, {sigma[2]:.1f}) mm.",
         advice=_advice(found, fit),
-        warnings=[*_warnings(found, fit), *notes],
+        warnings=[*eye_warnings(fit.mappings), *_warnings(found, fit), *notes],
         blocks=tables,
         inputs=[Path(options.path)],
         files=[model],

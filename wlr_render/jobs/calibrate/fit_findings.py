@@ -13,6 +13,7 @@ from wlr_render.calibration.moved_captures import MotionAgreement
 from wlr_render.calibration.smooth_prior import LARGEST_SHIFT_M, LARGEST_TURN_RAD
 from wlr_render.captures.correspondences import Captures
 from wlr_render.jobs.calibrate.fit_plots import position_names, predicted_maps, residual_plots
+from wlr_render.mappings import Eye
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.optics.assembly import ASSEMBLY_NAMES, ASSEMBLY_SIZES
 from wlr_render.report.blocks import Block, Cell, Columns, Number, ReportTable, table
@@ -26,6 +27,7 @@ MOTIONS_DIFFER = 3.0
 _NEAR_BOUND = 0.9
 _MOST_OF_IT = 0.7  # share of the predicted error from which the report advises on its source: half of its square
 _NO_MOTION = 0.05  # size of a motion that counts as none, um or microradians
+_NEAR_MIDDLE_M = 0.01  # largest |x| of an eye whose frame may have its origin in the eye: the eyes are at +-20 to 40 mm
 
 
 _AnyFit = ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
@@ -75,11 +77,24 @@ def fit_warnings(fit: Calibration, display_names: Sequence[str] = (), *, sigma_i
         display_names: names of the display's camera positions; empty to number them.
         sigma_is_given: True if the user states the noise of the captures, and can correct it.
     """
-    return [
+    of_sides = [
         warning
         for name, side in fit.sides.items()
         for warning in _warnings(name.capitalize(), side, display_names, sigma_is_given)
-    ] + _assembly_warnings(fit)
+    ]
+    return [*eye_warnings(fit.mappings), *of_sides, *_assembly_warnings(fit)]
+
+
+def eye_warnings(fitted: Eye) -> list[str]:
+    """Warn if the eye box is where the other eye is; x is 0 where the eye is the frame's origin."""
+    x, is_right = fitted.eye_box.centre[0], fitted.eye == "right"
+    if abs(x) <= _NEAR_MIDDLE_M or (x > 0) == is_right:
+        return []
+    other = "left" if is_right else "right"
+    return [
+        f"The eye box of the {fitted.eye} eye is at x = {1e3 * x:+.3g} mm (x right), where the {other} eye is if the "
+        "frame's origin lies between the eyes: check 'eye', 'frame' and the sign of x."
+    ]
 
 
 def _assembly_warnings(fit: Calibration) -> list[str]:
