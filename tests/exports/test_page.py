@@ -1,6 +1,7 @@
 """The format `page` in a real browser: its panel against Python's warp, its figures, keys, mouse, touch and network."""
 
 import gzip
+import itertools
 import json
 import re
 from base64 import b64decode
@@ -130,6 +131,22 @@ def test_panel_pixels_are_those_of_python(
     print(f"{method}: {np.bincount(off.astype(int).ravel())[:12]} pixels by codes off, largest {off.max():.0f}")
     assert np.ptp(due) > 150
     assert off.max() <= 2
+
+
+@pytest.mark.parametrize("method", ["naive", "static", "planar"])
+def test_the_scene_fills_both_pictures_at_the_limits_of_pupil_and_head(opened: Opened, method: str) -> None:
+    count = (
+        "(() => { draw(); const [w, h] = [canvas.width, canvas.height], px = new Uint8Array(4 * w * h);"
+        "gl.readPixels(0, 0, w, h, gl.RGBA, gl.UNSIGNED_BYTE, px); let black = 0;"
+        "for (let k = 0; k < w * h; ++k) if (k % w < panelPx[0] || k % w >= panelPx[0] + GAP)"
+        "  black += px[4 * k] + px[4 * k + 1] + px[4 * k + 2] === 0;"
+        "return black; })()"
+    )
+    turn_deg = np.rad2deg(opened.data["most_turn"])
+    for left, up, pupil in itertools.product((-turn_deg, turn_deg), (-turn_deg, turn_deg), (-1, 1)):
+        opened.change(method, (pupil, -pupil, -1), left, up)
+        assert opened.browser.value(count) == 0, (left, up, pupil)
+    assert 1.0 / opened.data["nearest"] > module._NEAREST_M
 
 
 @pytest.mark.parametrize("pupil", [(0.0, 0.0, 0.0), (0.7, -0.8, 0.5)])

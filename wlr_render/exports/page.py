@@ -2,6 +2,7 @@
 
 import base64
 import gzip
+import itertools
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,7 +18,7 @@ from wlr_render.exports.c_model import model_bytes
 from wlr_render.exports.export_view import ExportedView
 from wlr_render.exports.format import Capabilities, Format
 from wlr_render.exports.mesh import TOLERANCE_ARCMIN
-from wlr_render.geometry import directions
+from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.io.atomic_files import resource, write_text
 from wlr_render.io.escapes import html_text
@@ -32,12 +33,14 @@ SCENE = "desk"
 MOST_PX = 800
 """Largest width or height of the panel's picture that software renderers draw several times a second."""
 _MOST_TURN_DEG = 8.0
-_MARGIN_DEG = 10.0
-"""Margin of the scene's picture around the field of view: more than the head turns, because of the corners."""
+_NEAREST_M = 0.3
+"""Distance of the nearest surface of the scene, at least."""
 _MAP_CELLS = 12
 """Numbers of cells of the maps across and down."""
 _NAIVE_POINTS = 17
 _EYE_NODES = 13
+_BORDER_POINTS = 9
+"""Points along each side of a picture whose rays the scene's picture must contain."""
 
 
 class Page(Format):
@@ -53,7 +56,8 @@ class Page(Format):
         "the centre of the eye box. shaders/own_warp.glsl, the warp for other programs, draws the panel and the eye's "
         "view of the scene.",
         "Misalignment is the angle between a panel pixel and the real point that it shows, 1 m away, both seen through "
-        "the fitted models: these are the truth of the page. The predicted error states what the calibration left.",
+        "the fitted models, which are the truth of the page. The predicted error states the errors that the "
+        "calibration left.",
     )
     use = (
         "Open NAME-page.html in a browser.",
@@ -79,8 +83,8 @@ def page_data(view: ExportedView, colour: str) -> dict[str, Any]:
     width_px, height_px = (max(1, round(scale * size)) for size in view.panel_size_px)
     panel_px = width_px, height_px
     grid = choose_mesh_grid(eye, axes, panel_px, TOLERANCE_ARCMIN)
-    seen = _eye_camera(eye, height_px)
-    camera = _picture_camera(view.source.camera, scale)
+    seen, naive = _eye_camera(eye, height_px), _flat_picture(eye)
+    camera = _picture_camera(view, _drawn_rays(eye, seen, naive), scale)
     picture, inverse_depth = _picture(view, camera)
     nearest = max(float(inverse_depth.max()), 1e-3)
     steps = np.round(inverse_depth / nearest * 65535).astype(np.uint16)
@@ -88,8 +92,8 @@ def page_data(view: ExportedView, colour: str) -> dict[str, Any]:
     name, side = html_text(view.origin.name), view.eye
     return {
         "title": f"{name}, {side} eye: a simulation in the browser",
-        "verdict": f"This page is a simulation of {name}, {side} eye. It takes the fitted models for the truth, so "
-        "that planar is misaligned by its interpolation alone. See the predicted error for what the calibration left.",
+        "verdict": f"This page is a simulation of the {side} eye of {name}. It takes the fitted models as the truth, "
+        "so planar has interpolation errors only. The predicted error states the errors that the calibration left.",
         "about": f"wlr_render {__version__}, export --format page. Scene: {SCENE}.",
         "model": _base64(content),
         "shader": resource("shaders", "own_warp.glsl").read_text(encoding="utf-8"),
@@ -97,7 +101,7 @@ def page_data(view: ExportedView, colour: str) -> dict[str, Any]:
         "step_px": max(1, int(np.min(np.divide(panel_px, np.subtract(grid.size, 1))))),
         "nodes": view.plans[view.colours.index(colour)].node_count,
         "map": [_MAP_CELLS, _MAP_CELLS],
-        "naive": _flat_picture(eye).T.tolist(),
+        "naive": naive.T.tolist(),
         "eye_px": seen.size_px,
         "eye_nodes": _EYE_NODES,
         "eye_borders": _borders(seen),
@@ -132,11 +136,38 @@ def _eye_camera(eye: Eye, height_px: int) -> Pinhole:
     return Pinhole(min(width_px, 2 * height_px), height_px, low, high)
 
 
-def _picture_camera(source: Pinhole, scale: float) -> Pinhole:
-    """Return the camera of the scene's picture: the whole eye box's field of view, with a margin for head turns."""
-    edges = np.stack([source.tangent_min, source.tangent_max])
-    margin = np.tan(np.deg2rad(_MARGIN_DEG)) * (1.0 + edges**2)
-    return Pinhole.covering(edges + margin * [[-1.0], [1.0]], scale * float(source.focal_px.mean()))
+def _drawn_rays(eye: Eye, seen: Pinhole, naive: FloatArray) -> FloatArray:
+    """Return points and directions (n, 6) of the rays at the borders of both pictures, by all methods and pupils."""
+    along = np.linspace(0.0, 1.0, _BORDER_POINTS)
+    border = np.array([each for each in itertools.product(along, repeat=2) if not {0.0, 1.0}.isdisjoint(each)])
+    looked = directions.dir_of_tangents(seen.tangent_min + border * (seen.tangent_max - seen.tangent_min))
+    flat = directions.dir_of_tangents(np.insert(border, 0, 1.0, axis=1) @ naive)
+    still = _panel_rays(eye, border, eye.eye_box.centre)
+    rays = []
+    for viewpoint in eye.eye_box.at(np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))):
+        static = still + np.concatenate([viewpoint - eye.eye_box.centre, np.zeros(3)])
+        through = eye.see_through.real_ray_of_view_dir(looked, viewpoint).value
+        past = np.hstack([np.broadcast_to(viewpoint, flat.shape), flat])
+        rays += [_panel_rays(eye, border, viewpoint), static, past, through]
+    return np.concatenate(rays)
+
+
+def _panel_rays(eye: Eye, place: FloatArray, viewpoint: FloatArray) -> FloatArray:
+    """Return the world rays (n, 6) behind panel positions (n, 2) from 0 to 1."""
+    shown = eye.display.view_dir_of_pixel(place * eye.display.panel.size_px, viewpoint).value
+    return eye.see_through.real_ray_of_view_dir(shown, viewpoint).value
+
+
+def _picture_camera(view: ExportedView, rays: FloatArray, scale: float) -> Pinhole:
+    """Return the camera of the scene's picture: it contains what rays (n, 6) meet at the largest turns of the head."""
+    most, axes = np.deg2rad(_MOST_TURN_DEG), view.source.device_from_camera
+    nearest = rays[:, :3] + _NEAREST_M * rays[:, 3:]
+    tangents = []
+    for yaw, pitch in itertools.product((-most, 0.0, most), repeat=2):
+        turn = transforms.rotation_about("y", yaw) @ transforms.rotation_about("x", pitch)
+        for towards in (nearest @ turn.T - view.source.position_in_device, rays[:, 3:] @ turn.T):
+            tangents.append(directions.tangents_of_dir(towards @ axes))
+    return Pinhole.covering(np.concatenate(tangents), scale * float(view.source.camera.focal_px.mean()))
 
 
 def _picture(view: ExportedView, camera: Pinhole) -> tuple[NDArray[np.uint8], FloatArray]:
