@@ -188,29 +188,16 @@ def arrow_map(
     sizes = np.concatenate([np.linalg.norm(arrow, axis=1) for _, *arrows in groups.values() for arrow in arrows])
     reference = float(f"{max(float(np.nanquantile(sizes, 0.9)), 1e-3):.2g}")
     scale = _ARROW_SHARE * float(high[0] - low[0] or 1.0) / reference * np.array([1.0, -1.0 if y_down else 1.0])
-    colours = {"colorscale": "Viridis", "cmin": 0.0, "cmax": reference, "showscale": True}
     most = min(MAX_ARROWS, max(40, _ALL_ARROWS // len(groups)))
     data: list[dict[str, Any]] = []
     for number, (place, *arrows) in enumerate(groups.values()):
         for panel, arrow in enumerate(arrows):
             finite = np.flatnonzero(np.isfinite(arrow).all(axis=1))
             rows = finite[:: max(1, len(finite) // most)]
-            tip = place[rows] + scale * arrow[rows]
-            shaft = np.stack([place[rows], tip, np.full_like(tip, np.nan)], axis=1).reshape(-1, 2)
-            size = np.linalg.norm(arrow[rows], axis=1)
             shown = {"visible": number == 0, "showlegend": False, "xaxis": f"x{panel + 1 if panel else ''}"}
-            data += [
-                _trace(shaft, "lines", line={"width": 1, "color": "#888888"}, hoverinfo="skip", **shown),
-                _trace(
-                    tip,
-                    "markers",
-                    marker={"size": 5, "color": _rounded(size), "colorbar": {"title": {"text": unit}}, **colours},
-                    text=[f"{one:.3g} {unit}" for one in size],
-                    hoverinfo="text",
-                    **shown,
-                ),
-            ]
-    corner = low - [0.0, 0.06 * (high - low)[1]] if not y_down else np.array([low[0], high[1] + 0.06 * (high - low)[1]])
+            data += _arrows(place[rows], arrow[rows], scale, reference, unit, shown)
+    below = 0.06 * (high - low)[1]
+    corner = np.array([low[0], high[1] + below if y_down else low[1] - below])
     data.append(
         _trace(
             np.stack([corner, corner + [abs(scale[0]) * reference, 0.0]]),
@@ -229,6 +216,26 @@ def arrow_map(
     if len(groups) > 1:
         layout["updatemenus"] = [_group_menu(list(groups), 2 * len(panels))]
     return Plot(title, data, layout, caption, height_px=560)
+
+
+def _arrows(
+    place: FloatArray, arrow: FloatArray, scale: FloatArray, most: float, unit: str, shown: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Return the traces of arrows (n, 2) at positions (n, 2): grey shafts, and tips coloured by size up to `most`."""
+    tip, size = place + scale * arrow, np.linalg.norm(arrow, axis=1)
+    shaft = np.stack([place, tip, np.full_like(tip, np.nan)], axis=1).reshape(-1, 2)
+    colours = {"colorscale": "Viridis", "cmin": 0.0, "cmax": most, "showscale": True}
+    return [
+        _trace(shaft, "lines", line={"width": 1, "color": "#888888"}, hoverinfo="skip", **shown),
+        _trace(
+            tip,
+            "markers",
+            marker={"size": 5, "color": _rounded(size), "colorbar": {"title": {"text": unit}}, **colours},
+            text=[f"{one:.3g} {unit}" for one in size],
+            hoverinfo="text",
+            **shown,
+        ),
+    ]
 
 
 def _arrow_layout(axes: tuple[str, str], panels: Sequence[str], y_down: bool) -> dict[str, Any]:
