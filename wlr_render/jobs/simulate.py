@@ -51,7 +51,7 @@ class SimulateOptions(SpreadOptions):
     out: Annotated[Path, described("Folder of the session; an interrupted simulation continues there.")] = Path(
         "out/session"
     )
-    eye: Annotated[EyeName, described("Eye to photograph: a session is of one eye.")] = "right"
+    eye: Annotated[EyeName, described("Eye to photograph; a simulated session is of one eye.")] = "right"
     viewpoints: Annotated[int, described("Number of camera positions.", group=_PLACES), limits.PLACES] = 25
     places: Annotated[
         Path | None,
