@@ -294,10 +294,10 @@ def test_few_captures_are_diagnosed_with_what_cannot_be_told(
     assert "Explained: printed size of the target" in printed.out
     warned = json.loads((tmp_path / "out" / "diagnosis.json").read_text())["warnings"]
     (one,) = [each for each in warned if "The display part has 1 capture" in each]
-    assert "how far captures repeat cannot be told" in one
+    assert "its repeatability is unknown, and the usual one is assumed" in one
     assert "6 or more captures of the part" in one
-    assert any("The see-through part has 2 captures: which of them moved cannot be told" in each for each in warned)
-    assert any("a slip, or another cause with a moment, cannot be told" in each for each in warned) == (
+    assert any("The see-through part has 2 captures: it does not show which of them moved" in each for each in warned)
+    assert any("a slip, or another cause that begins at some time, cannot be" in each for each in warned) == (
         len({*present(plan.display).time_s, *present(plan.see_through).time_s}) < 4
     )
     assert "Display: noise 0." in printed.out  # and no repeatability of one capture

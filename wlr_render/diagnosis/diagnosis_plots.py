@@ -31,10 +31,10 @@ def residual_maps(part: PartView) -> Plot:
     return field_maps(
         part,
         f"Residual over the field of view: {part.name}",
-        "Each arrow is the mean residual (measured minus simulated) of the readings around it; all maps have "
-        "one scale. The menu lists captures far from each other, the one with the largest residual first. Arrows in "
-        "all directions at once are noise. Arrows in one direction, which is another one in each capture, are the "
-        "stage's repeatability.",
+        "Each arrow is the mean residual (measured minus simulated) of the readings around it; all maps share one "
+        "scale. The menu lists captures from distant positions, the one with the largest residual first. Arrows in "
+        "random directions are noise. Arrows in one direction that differs from capture to capture are the stage's "
+        "repeatability.",
     )
 
 
@@ -121,8 +121,8 @@ def residual_curves(part: PartView) -> Plot:
         layout[f"yaxis{suffix}"] |= axis("arcmin") if column == 0 else {}
     layout["legend"] = {"orientation": "h", "y": 1.08, "yanchor": "bottom"}
     caption = (
-        "Mean residual in bins of each variable: right (solid) and down (dotted) in the camera's image; where so "
-        "marked, outwards (solid) and around (dotted). Band: two standard errors of a mean by the noise and the "
+        "Mean residual in bins of each variable: right (solid) and down (dotted) in the camera's image; where "
+        "marked, outwards (solid) and around (dotted). Band: two standard errors of the mean, from noise and the "
         "stage's repeatability."
     )
     return Plot(f"Residual against each variable: {part.name}", data, layout, caption, 120 + 230 * rows)
@@ -210,9 +210,9 @@ def normality_plot(diagnosis: DiagnosisRecord) -> Plot:
         "bargap": 0,
     }
     caption = (
-        "Residual of the readings that were fitted, divided by all errors that the bench has: noise, what neighbouring "
-        "points share, and the motion of each capture. Right: points on the line are standard normal; a steeper line "
-        "is more noise than was found, bent ends are heavy tails."
+        "Residual of the fitted readings over all errors of the bench: noise, also that which neighbouring points "
+        "share, and the motion of each capture. Right: points on the line are standard normal; a steeper line means "
+        "more noise than estimated, bent ends mean heavy tails."
     )
     return Plot("Whitened residual", data, layout, caption, 380)
 

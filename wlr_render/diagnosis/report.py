@@ -131,7 +131,7 @@ def diagnosis_report(
     """
     blocks: list[Block] = [Section("Result"), tables.residuals_table(diagnosis), tables.causes_table(diagnosis)]
     lines = verdict_sentences.values_to_type(diagnosis)
-    note = f"Values for bench.toml, as the corrected bench has them. {verdict_sentences.FRAME_NOTE}"
+    note = f"Values to enter in bench.toml, as in the corrected bench. {verdict_sentences.FRAME_NOTE}"
     blocks += [Text(note, lines)] if lines else []
     blocks += [*_next_steps(diagnosis, folder, add_causes), tables.limits_table(diagnosis)]
     if diagnosis.effects:
@@ -166,7 +166,7 @@ def _captures(diagnosis: DiagnosisRecord) -> Plot:
     rms = {"bench as described": [each.rms_before for each in diagnosis.captures]}
     if diagnosis.is_corrected:
         rms["corrected bench"] = [each.rms_after for each in diagnosis.captures]
-    caption = "1 is noise; the motion of each capture adds to it. Crosses: excluded captures."
+    caption = "1 is the noise alone; the motion of each capture adds to it. Crosses: excluded captures."
     excluded = [each.excluded for each in diagnosis.captures]
     return plots.captures_plot([each.capture for each in diagnosis.captures], rms, caption, excluded)
 

@@ -106,11 +106,11 @@ def _too_few(diagnosis: DiagnosisRecord) -> list[str]:
     for part, count in sorted(counts.items()):
         if count >= FEWEST_TO_STAND_OUT or part == RUN_TIME:
             continue
-        cannot = "which of them moved cannot be told, and how far captures repeat is hardly known"
+        cannot = "it does not show which of them moved, and hardly shows their repeatability"
         if count == 1:
             cannot = (
-                f"how far captures repeat cannot be told, and what is usual is assumed (about {USUAL_SHIFT:.0f} um and "
-                f"{USUAL_TURN:.0f} urad); an error of the camera's place in it looks like a cause"
+                f"its repeatability is unknown, and the usual one is assumed (about {USUAL_SHIFT:.0f} um and "
+                f"{USUAL_TURN:.0f} urad); an error of the camera's position looks like a cause"
             )
         found.append(
             f"The {PART_NAMES[part]} part has {count} capture{'s' * (count > 1)}: {cannot}. {ENOUGH_CAPTURES} or more "
@@ -119,8 +119,8 @@ def _too_few(diagnosis: DiagnosisRecord) -> list[str]:
     times = len({float(t) for part in observations.session.plan.parts if part is not None for t in part.time_s})
     if times > 1 and not len(times_between_captures(observations.session.plan)):
         found.append(
-            f"Only {times} captures differ in time: a slip, or another cause with a moment, cannot be told from a "
-            "capture that moved. Two captures on either side of the moment are needed."
+            f"Only {times} captures differ in time: a slip, or another cause that begins at some time, cannot be "
+            "distinguished from a capture that moved. Two captures before and two after that time are needed."
         )
     return found
 

@@ -51,8 +51,8 @@ def residuals_table(diagnosis: DiagnosisRecord) -> ReportTable:
         rows.append([name, *(getattr(each, attribute) for each in benches.values()), noise, after / noise, *usual])
     columns = ("residual, rms per axis", *benches, "noise", f"{last} / noise", "expected", f"{last} / expected")
     notes = [
-        "Noise: of the readings alone. Expected: with the motion that each capture has because positions do not repeat "
-        "exactly."
+        "Noise: residual from the noise of the readings alone. Expected: from noise and the random motion of each "
+        "capture, because positions do not repeat exactly."
     ]
     if unknown:
         notes.append(
@@ -65,9 +65,9 @@ def residuals_table(diagnosis: DiagnosisRecord) -> ReportTable:
 def causes_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return one row for each cause that was found."""
     note = (
-        "Effect: rms change of the readings. Log10 odds: for the cause against none, the others being as found, by the "
-        "evidence of all readings. Held-out improvement: by how much the rms residual of captures that were "
-        "not fitted falls when this cause joins the others (cross-validation by capture)."
+        "Effect: rms change of the readings. Log10 odds: evidence of all readings for the cause against no cause, with "
+        "the other causes as found. Held-out improvement: reduction of the rms residual of left-out captures when this "
+        "cause is added to the others (cross-validation by capture)."
     )
     return table(
         "Causes",
@@ -99,12 +99,12 @@ def in_use_table(in_use: ImprovementInUse) -> ReportTable:
             rows.append([f"picture rendered with the {what}", each.before.rms, each.after.rms, said])
     columns = ("error, rms (arcmin)", "bench as described", "corrected bench", "improvement (%)")
     notes = (
-        "Refitted model: a model is calibrated from most captures by each bench, and predicts the captures that were "
-        "left out. Their true places are taken from the corrected bench.",
+        "Refitted model: for each bench, a model is calibrated from most captures and predicts the left-out ones. The "
+        "corrected bench gives the true positions.",
         "Picture rendered with the refitted models: angle between virtual and real points as a wearer of the corrected "
-        "device would see them, with the models calibrated by each bench.",
+        "device would see them, with the models calibrated with each bench.",
         "Picture rendered with the device's prescription: the same angle with the device file of each bench in place "
-        "of a calibrated model; the models calibrated by the corrected bench stand for the real device.",
+        "of a calibrated model; the models calibrated with the corrected bench represent the real device.",
         *in_use.unavailable,
     )
     return ReportTable("Improvement in use", columns, rows, notes)
@@ -116,13 +116,13 @@ def parameters_table(diagnosis: DiagnosisRecord) -> ReportTable:
     is_stated = any(stated_prior(diagnosis, *row) for row in numbers)
     size, note = (
         "usual size",
-        "Usual size: standard deviation met in practice; check a value that is many times larger.",
+        "Usual size: standard deviation in practice; check a value that is many times larger.",
     )
     if is_stated:
         size, note = (
             "prior (mean, sigma)",
-            "Prior: from [prior] of bench.toml, or 0 and the standard deviation met in practice; check a "
-            "value that is many sigmas from the mean.",
+            "Prior: from [prior] of bench.toml, or 0 and the standard deviation in practice; check a value "
+            "that is many sigmas from the mean.",
         )
 
     def prior(row: OfCause) -> Cell:
@@ -147,8 +147,8 @@ def parameters_table(diagnosis: DiagnosisRecord) -> ReportTable:
 def ranking_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the candidates for the place of each cause, with the other causes as found."""
     note = (
-        "Odds of the best candidate against this one, from their marginal likelihoods, each with the noise and the "
-        "repeatability that suit it best; a dash: to first order too far behind to be fitted."
+        "Odds of the best candidate against this one: the ratio of their marginal likelihoods, each with its best "
+        "noise and repeatability. A dash: too unlikely to first order to be fitted."
     )
     return table(
         "Ranking of candidates",
@@ -170,8 +170,8 @@ def captures_table(diagnosis: DiagnosisRecord) -> ReportTable:
     whitened = {str(name): float(white[n]) for n, name in enumerate(observations.captures) if readings[n]}
     rms = {"rms before (sigma)": "rms_before", "rms after (sigma)": "rms_after"}
     note = (
-        "Before: with the bench as described. After: with the causes found. Both contain the capture's motion. "
-        "Whitened: without the motion and the shared noise that the bench has; 1 is noise."
+        "Before: bench as described. After: bench with the causes found. Both contain the motion of the capture. "
+        "Whitened: without this motion and without noise that neighbouring readings share; 1 is the noise alone."
     )
     return table(
         "Captures",
@@ -190,7 +190,7 @@ def captures_table(diagnosis: DiagnosisRecord) -> ReportTable:
 
 def excluded_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the captures that moved, and the move that would explain each."""
-    notes = ["Log10 odds: for such a move of the capture against one of the usual size."]
+    notes = ["Log10 odds: for such a motion of the capture against one of the usual size."]
     if diagnosis.too_many_moved:
         notes.append("Captures of a part of which too many stand out were not excluded.")
     return table(
@@ -234,7 +234,7 @@ def effects_table(diagnosis: DiagnosisRecord) -> ReportTable:
         (
             "Size: rms displacement over the readings that the effect acts on; of a spot, in its strongest cell; of a "
             "bump, its largest height.",
-            "Log10 odds: for the effect against noise and motions, with the effects of higher odds at work.",
+            "Log10 odds: for the effect against noise and motions, with the effects of higher odds present.",
         ),
     )
 
@@ -252,8 +252,8 @@ def fields_table(diagnosis: DiagnosisRecord) -> ReportTable:
             "log10 odds": lambda each: _odds(each.log10_odds),
         },
         (
-            "A field is a displacement at a station, of any smooth shape up to a degree. All are charged for their "
-            "number.",
+            "A field is a displacement at a station, of any smooth shape up to a degree. The odds account for "
+            "the number of fields that were tried.",
         ),
     )
 
@@ -271,7 +271,9 @@ def limits_table(diagnosis: DiagnosisRecord) -> ReportTable:
 def repeatability_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the repeatability of the captures of each part."""
     unknown = undetermined_parts(diagnosis)
-    notes = ["Standard deviation, per axis, of the random motion of the camera against the headset in each capture."]
+    notes = [
+        "Standard deviation, per axis, of the random motion of the camera relative to the headset in each capture."
+    ]
     if unknown:
         notes.append("Not determined: no cause explains the residual, and the motions contain it.")
     return table(
@@ -290,9 +292,10 @@ def noise_table(diagnosis: DiagnosisRecord) -> ReportTable:
     """Return the noise of each part: stated, measured, and used."""
     note = (
         "Within photographs: residual of a smooth surface fitted to each photograph. Repeats: photographs taken twice "
-        "from one place. Measured: both combined by inverse variance; at run time by what is left, if neighbours at no "
-        "station are alike. Used: measured and stated weighted by their errors, or the measured one where the stated "
-        "one does not agree. Shared: of the variance, by neighbouring points of a photograph."
+        "from one place. Measured: both combined by inverse variance; at run time the remaining residual, if "
+        "neighbouring readings do not resemble each other at any station. Used: mean of measured and stated, weighted "
+        "by their errors, or the measured one where the stated one does not agree. Shared: part of the variance that "
+        "neighbouring points of a photograph share."
     )
     return table(
         "Noise",
