@@ -259,7 +259,7 @@ def _scales(adjustment: Adjustment) -> list[Check]:
         checks.append(
             Check(
                 STEP,
-                f"travel along axis {name} by the board's pitch over the reading, less 1",
+                f"travel along axis {name} by the board's pitch / reading, minus 1",
                 length - 1.0,
                 sigma,
                 _SCALE,
@@ -303,7 +303,7 @@ def _angles(adjustment: Adjustment) -> list[Check]:
         sentence = f"the stage's axes {pair} are {90 - skew_deg:.2f} deg apart"
         if not ok:
             sentence += "; they should be at right angles: are readings of two axes mixed up, or is the stage loose?"
-        checks.append(Check(STEP, f"angle of axes {pair} less 90, deg", -skew_deg, sigma_deg, _SKEW_DEG, sentence, ok))
+        checks.append(Check(STEP, f"angle of axes {pair} minus 90, deg", -skew_deg, sigma_deg, _SKEW_DEG, sentence, ok))
     return checks
 
 
@@ -342,7 +342,7 @@ def _noise_check(adjustment: Adjustment, name: str) -> Check:
     sigma = noise / float(np.sqrt(2.0 * adjustment.normal.values[name]))
     return Check(
         f"photographs by the {_CAMERAS[name]}",
-        "noise over stated sigma",
+        "noise / stated sigma",
         noise,
         sigma,
         limit,

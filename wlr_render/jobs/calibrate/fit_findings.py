@@ -266,8 +266,8 @@ def _share_table(fit: Calibration) -> ReportTable:
         "usual size": lambda share: _size_text(share.usual, share.unit),
     }
     notes = [
-        "Squares of the parts add up to the square of the predicted error. Sizes are rms of the source's own errors; "
-        "where the captures do not tell them, they are the usual ones."
+        "Squares of the parts add up to the square of the predicted error. Size: rms of the errors of the "
+        "source; the usual size is assumed where the captures do not show it."
     ]
     notes += [
         f"{name.capitalize()}: the predicted error does not contain the following errors, because the captures lack "
@@ -306,8 +306,8 @@ def _motion_table(fit: Calibration) -> ReportTable:
             rows += [[name, "shift (um)", *shift], [name, "turn (urad)", *turn]]
     columns = ["mapping", "motion", "from the bench", "found", "factor", "sigmas"]
     notes = (
-        "Motion of the camera between captures, rms per axis: as the calibration of the bench states it, and as the "
-        "readings of the model have it. Sigmas: how far the factor is from 1.",
+        "Motion of the camera between captures, rms per axis: as the calibration of the bench states it, and as "
+        "found from the readings that the model is fitted to. Sigmas: distance of the factor from 1.",
     )
     return ReportTable("Motion of the camera", columns, rows, notes)
 
@@ -325,9 +325,9 @@ def _size_table(fit: Calibration) -> ReportTable:
         "log evidence": lambda report: Number(report.log_evidence, ".1f"),
     }
     notes = (
-        "Coefficients that the captures determine; the smoothness of the optics holds the others.",
-        "Contraction: below 1, every query has one solution. Log evidence is natural; of models of the same captures, "
-        "the one with the largest is the most probable.",
+        "Coefficients: number that the captures determine; the smoothness prior determines the others.",
+        "Contraction: below 1, every query has one solution. Log evidence: natural logarithm; among models of the same "
+        "captures, the one with the largest is the most probable.",
     )
     return table("Sizes", _reports(fit), columns, notes, name="mapping")
 
@@ -353,15 +353,16 @@ def _label_table(fit: Calibration) -> ReportTable:
     columns: Columns = {
         "label": "label",
         "groups": "groups",
-        "mean square over the expected one": "ratio",
+        "mean square / expected": "ratio",
         "log10 odds": lambda each: Number(each.log10_odds, ".1f"),
         "errors, rms (arcmin)": "size_arcmin",
         "error of the model that they cause (arcmin)": "in_model_arcmin",
     }
     notes = (
-        "Weighted means of residuals by group; the expected one is what noise, motions and the fit explain. Log10 odds "
-        f"above {STANDS_OUT:.0f}: its readings share errors that the model lacks, beside those of the labels above. "
-        f"A warning names those that cause more than {MATTERS:.1f} of the error that the fit expects of its own.",
+        "Mean square: of the weighted mean residuals of the groups; expected: from noise, motions and the fit. Log10 "
+        f"odds above {STANDS_OUT:.0f}: readings of one group share errors that the model lacks, in addition to those "
+        f"of the labels above. A warning names labels whose errors cause more than {MATTERS:.1f} of the error that the "
+        "fit predicts without them.",
     )
     return table("Errors by label", _each(fit, "labels"), columns, notes, name="mapping")
 

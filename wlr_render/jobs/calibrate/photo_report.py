@@ -110,8 +110,9 @@ def _read_table(session: PhotoSession, reading: Reading) -> ReportTable:
     rows.append(["panel", len(session.display), len(samples), sum(len(each) for each in samples), sigma_px])
     columns = ["photographs of", "given", "read", "features or samples", "sigma per reading (px)"]
     notes = (
-        "Features: camera pixels. Samples of the panel: panel pixels, each the mean of a window of camera pixels.",
-        "Features beyond the panel's field, and features that lie off their position (outliers), are not fitted.",
+        "Sigma: in camera pixels for features, in panel pixels for samples of the panel. A sample is the mean of a "
+        "window of camera pixels.",
+        "Features outside the panel's field of view, and outliers, are not fitted.",
     )
     return ReportTable("Readings", columns, rows, notes)
 
@@ -220,7 +221,7 @@ def _errors_table(found: SessionCalibration) -> ReportTable:
     if state.of("drift"):
         rows.append(["camera, drift of the image in the session (arcmin)", sizes["drift"] / ARCMIN])
     rows.append(["boards, smooth printing errors (um)", 1e6 * sizes["print"]])
-    rows.append(["boards, heights beside bow and twist (um)", 1e6 * sizes["height"]])
+    rows.append(["boards, heights in addition to bow and twist (um)", 1e6 * sizes["height"]])
     for target, (change,) in state.of("focus").items():
         sigma_change = float(np.sqrt(adjustment.covariance_of([("focus", target)])[0, 0]))
         name = f"focal length at target pose {target} (parts per million)"
@@ -232,7 +233,7 @@ def _errors_table(found: SessionCalibration) -> ReportTable:
 def _chi_squared_table(found: SessionCalibration) -> ReportTable:
     pulls = [*reading_pulls(found.bench.adjustment), *prior_pulls(found.bench.adjustment)]
     columns = {
-        "of": "kind",
+        "residuals": "kind",
         "reduced chi-squared": "reduced",
         "degrees of freedom": "freedom",
         "probability by chance": "probability",
