@@ -39,8 +39,9 @@ def binocular_table(found: SessionCalibration) -> ReportTable:
         [f"position along {axis} (mm)", None, 1e3 * float(one)] for axis, one in zip("xyz", sigma[3:], strict=True)
     ]
     notes = (
-        "Found: direction of the panel's middle from the middle of each eye box, and roll of its rows, left less "
-        "right. The models correct them. The horizontal one contains the convergence that the headset is designed for.",
+        "Found: direction of the panel's middle from the middle of each eye box, and roll of its rows, left minus "
+        "right. The models correct them. The horizontal value contains the convergence that the headset is designed "
+        "for.",
         "Sigma: of the left camera's pose against the right one's, from their joint covariance, without errors that "
         "both share. A rotation by one sigma is an equal disparity between the eyes.",
     )

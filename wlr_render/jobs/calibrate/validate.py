@@ -98,16 +98,17 @@ class Validation:
             f"{100 * LEVEL:.0f} % interval": lambda each: f"{each.low:.2f} to {each.high:.2f}",
         }
         notes = [
-            f"{NOISE.capitalize()}: fits to readings drawn of the fit, with all errors that it states. They test its "
-            "arithmetic.",
-            f"{QUARTERS.capitalize()}: fits without a quarter of the camera positions, chosen at random, whose "
-            "difference from the fit to all is known if the positions' errors are independent.",
-            f"{BANDS.capitalize()}: fits without a column or a row of positions, neighbours, which share more errors.",
-            "Intervals hold for this session's positions as a sample of independent ones; if they share errors, the "
-            "true errors are larger than those found.",
+            f"{NOISE.capitalize()}: fits to readings simulated from the fit, with all errors that it states. They "
+            "test the arithmetic of these errors.",
+            f"{QUARTERS.capitalize()}: fits without a quarter of the camera positions, chosen at random. Their "
+            "expected difference from the fit to all positions is known if the positions' errors are independent.",
+            f"{BANDS.capitalize()}: fits without a column or a row of positions, which are neighbours and share more "
+            "errors.",
+            "The intervals assume that the errors of different camera positions are independent; if positions share "
+            "errors, the true errors are larger than those found.",
         ]
         if self.refused:
-            notes.append(f"{self.refused} refits of too few positions were refused, and do not count.")
+            notes.append(f"{self.refused} refits had too few positions, and are not counted.")
         return table(
             "Stated against found errors", [(each.side, each) for each in self.ratios], columns, notes, name="mapping"
         )

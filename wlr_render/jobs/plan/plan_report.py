@@ -75,8 +75,8 @@ def places_table(places: FloatArray) -> ReportTable:
     ]
     notes = (
         "From the centre of the eye box, device frame: x to the right, y up, z backward. Also in places.csv.",
-        "Photograph the places in this order, which is random: along a raster a warm-up or a stage that errs with its "
-        "direction of travel varies smoothly with the place, and a calibration takes it for optics.",
+        "Photograph the places in this order, which is random: in a raster, a warm-up or errors of the stage by its "
+        "direction of travel vary smoothly with the place, and a calibration mistakes them for optics.",
     )
     return ReportTable("Camera places", ["place", "x (mm)", "y (mm)", "z (mm)"], rows, notes)
 
@@ -135,8 +135,9 @@ def _errors_table(predicted: DesignErrors, simulated: DesignErrors) -> ReportTab
     notes = (
         "Over the eye box and the field of view. Predicted: from the covariance of the models and the error of the "
         "stage's calibration. Simulated: one session's models against the traced headset.",
-        "The latter is the same in display and see-through, and mostly cancels in registration.",
-        "Errors of the tracking camera's extrinsics and of eye tracking come on top.",
+        "The error of the stage's calibration is the same in display and see-through, and mostly cancels in "
+        "registration.",
+        "Errors of the tracking camera's extrinsics and of eye tracking are not included.",
     )
     return ReportTable("Errors of the recommended design", columns, rows, notes)
 
