@@ -13,16 +13,16 @@ uniform sampler2D large_tiles;  // ranges of TILE x TILE tiles; the image itself
 layout(location = 0) out vec2 range;
 
 // Bounds of `count` tiles along each axis on either side of a corner, which is counted in tiles.
-vec2 range_of(sampler2D tiles, ivec2 corner, int count)
+vec2 range_of(sampler2D finer, ivec2 corner, int count)
 {
-    ivec2 size = textureSize(tiles, 0), first = clamp((corner - 1) * count, ivec2(0), size - 1);
+    ivec2 size = textureSize(finer, 0), first = clamp((corner - 1) * count, ivec2(0), size - 1);
     ivec2 end = clamp((corner + 1) * count, first + 1, size);
     vec4 low = vec4(uintBitsToFloat(0x7f800000u)), high = vec4(0.0);
     for (int y = first.y; y < end.y; y += 2) {
         for (int x = first.x; x < end.x; x += 2) {
             ivec2 last = min(ivec2(x, y) + 1, end - 1);
-            vec4 columns = vec4(fetched(tiles, ivec2(x, y)).xy, fetched(tiles, ivec2(last.x, y)).xy);
-            vec4 below = vec4(fetched(tiles, ivec2(x, last.y)).xy, fetched(tiles, last).xy);
+            vec4 columns = vec4(fetched(finer, ivec2(x, y)).xy, fetched(finer, ivec2(last.x, y)).xy);
+            vec4 below = vec4(fetched(finer, ivec2(x, last.y)).xy, fetched(finer, last).xy);
             low = min(low, vec4(columns.xz, below.xz));
             high = max(high, vec4(columns.yw, below.yw));
         }

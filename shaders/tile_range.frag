@@ -3,11 +3,11 @@
 #define INVERSE_DEPTHS(texels) texels
 #include "tile_range.glsl"
 
-uniform sampler2D values;
+uniform sampler2D inverse_depths;
 
 layout(location = 0) out vec2 range;
 
 void main()
 {
-    range = range_of_tile(values, gl_FragCoord.xy);
+    range = range_of_tile(inverse_depths, gl_FragCoord.xy);
 }

@@ -73,16 +73,16 @@ class GlRaster:
         program, camera = self._program, view.camera
         lamps = [transforms.apply(camera_from_world, light.vector) for light in self._lamps]
         suns = [-transforms.rotate(camera_from_world, light.vector) for light in self._suns]
-        gl.set_array(program, "point_light_position", lamps)
-        gl.set_array(program, "point_light_colour", [light.colour for light in self._lamps])
-        gl.set_array(program, "towards_directional_light", suns)
-        gl.set_array(program, "directional_light_colour", [light.colour for light in self._suns])
         gl.set_uniforms(
             program,
             lens=shader_intrinsics(camera),
             size_px=(camera.width_px, camera.height_px),
             near=NEAR_M,
             ambient=_triple(self._scene.ambient),
+            point_light_position=np.array(lamps),
+            point_light_colour=np.array([light.colour for light in self._lamps]),
+            towards_directional_light=np.array(suns),
+            directional_light_colour=np.array([light.colour for light in self._suns]),
         )
 
     def _set_instance(self, camera_from_world: FloatArray, index: int) -> None:

@@ -4,7 +4,7 @@ import contextlib
 import ctypes
 import threading
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -13,10 +13,18 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wlr_render.errors import BadInputError
+from wlr_render.gl.dispatches import GROUP, RGB10_A2, Dispatches
 from wlr_render.gl.gl_errors import ErrorReader, GlError, error_name
 from wlr_render.gl.native_contexts import CurrentContext
 from wlr_render.gl.ownership import ContextOwner, free_dropped
-from wlr_render.gl.programs import COMPUTE_VERSION, TextureUnits, forget_textures, pass_source, shader_source
+from wlr_render.gl.programs import (
+    COMPUTE_VERSION,
+    TextureUnits,
+    for_eyes,
+    forget_textures,
+    pass_source,
+    shader_source,
+)
 
 Texture = moderngl.Texture
 TextureArray = moderngl.TextureArray
@@ -30,14 +38,10 @@ Buffer = moderngl.Buffer
 
 _Object = TypeVar("_Object")
 
-GROUP = 8
-"""Side of a compute shader's work group, in texels."""
-
 _SOFTWARE = "llvmpipe", "softpipe", "swrast", "swiftshader"
 _FRAMEBUFFER = 0x8D40
 _SRGB8 = 0x8C41  # GL_SRGB8: texels are decoded to linear light before they are filtered
 SRGB8_ALPHA8 = 0x8C43
-_RGB10_A2 = 0x8059
 _SRGB_DECODE, _SKIP_DECODE = 0x8A48, 0x8A4A  # enums of GL_EXT_texture_sRGB_decode, which some OpenGL ES drivers lack
 
 
@@ -65,6 +69,7 @@ class GlContext:
         largest_side_px: limit of OpenGL on a texture's or framebuffer's width and height.
         host_is_clean: whether this is the host's own context, in which it guarantees OpenGL's default state.
         computes: whether the warp and its passes run as compute shaders: on a GPU with OpenGL 4.3.
+        dispatches: runs these shaders.
     """
 
     def __init__(
@@ -96,6 +101,7 @@ class GlContext:
             self.renderer = str(ctx.info["GL_RENDERER"])
             self.largest_side_px = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
             ctx.extra = TextureUnits(ctx, current)
+            self.dispatches = Dispatches(ctx, current)
         self.computes = ctx.version_code >= COMPUTE_VERSION and not self.is_software
 
     def __enter__(self) -> "GlContext":
@@ -235,22 +241,13 @@ class GlContext:
             name: file name of a compute shader, or of a full-screen fragment shader without derivatives.
             constants: see `program`.
         """
-        key = name, *sorted(constants.items())
+        eyes = self.dispatches.eyes
+        key = eyes, name, *sorted(constants.items())
         if key not in self._compute_programs:
             is_pass = name.endswith(".frag")
             text = pass_source(name, GROUP, constants) if is_pass else shader_source(name, constants | {"GROUP": GROUP})
-            self._compute_programs[key] = self.tracked(self._ctx.compute_shader(text))
+            self._compute_programs[key] = self.tracked(self._ctx.compute_shader(for_eyes(text, eyes)))
         return self._compute_programs[key]
-
-    def compute(self, program: ComputeShader, textures: Sequence[Texture]) -> None:
-        """Run a compute shader for each texel of textures made by `target`, bound as images 0, 1 and so on.
-
-        Later commands see its results.
-        """
-        for unit, texture in enumerate(textures):
-            texture.bind_to_image(unit, read=False, write=True, format=_RGB10_A2 if texture.extra == _RGB10_A2 else 0)
-        program.run(*(-(-side // GROUP) for side in textures[0].size))
-        self._ctx.memory_barrier()
 
     def full_screen_program(self, fragment: str, /, **constants: float) -> Program:
         """Return the program that runs a fragment shader for each pixel of a target: draw 3 vertices."""
@@ -276,8 +273,8 @@ class GlContext:
             texture = self.tracked(self._ctx.texture(size, components, internal_format=SRGB8_ALPHA8))
             texture.extra = SRGB8_ALPHA8
         elif dtype == "rgb10":
-            texture = self.tracked(self._ctx.texture(size, components, dtype="nu2", internal_format=_RGB10_A2))
-            texture.extra = _RGB10_A2
+            texture = self.tracked(self._ctx.texture(size, components, dtype="nu2", internal_format=RGB10_A2))
+            texture.extra = RGB10_A2
         else:
             texture = self.tracked(self._ctx.texture(size, components, dtype=dtype))
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)

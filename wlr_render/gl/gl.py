@@ -7,7 +7,7 @@ so textures are read and written here without flips.
 import contextlib
 import ctypes
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,7 @@ from wlr_render.gl.context import Sampler as Sampler
 from wlr_render.gl.context import Texture as Texture
 from wlr_render.gl.context import TextureArray as TextureArray
 from wlr_render.gl.context import VertexArray as VertexArray
+from wlr_render.gl.dispatches import Dispatch
 from wlr_render.gl.gl_errors import ErrorReader
 from wlr_render.gl.gl_errors import GlError as GlError
 from wlr_render.gl.native_contexts import (
@@ -39,13 +40,12 @@ from wlr_render.gl.native_contexts import (
 from wlr_render.gl.ownership import Host, HostContext, OwnContext
 from wlr_render.gl.programs import GLSL_VERSION
 from wlr_render.gl.programs import bind_textures as bind_textures
-from wlr_render.gl.programs import set_array as set_array
 from wlr_render.gl.programs import set_matrix as set_matrix
 from wlr_render.gl.programs import set_uniforms as set_uniforms
 
 _FRAMEBUFFER = 0x8D40
 _VERSION = divmod(GLSL_VERSION // 10, 10)
-UNITS = 12
+UNITS = 32
 """Number of texture units that are used in a clean host's context."""
 
 
@@ -100,28 +100,30 @@ class Pass:
     """A full-screen shader that fills a target of ours; a compute shader if `GlContext.computes`."""
 
     def __init__(self, context: GlContext, name: str, /, **constants: float) -> None:
-        """Compile a fragment shader of shaders/ that uses no derivatives."""
+        """Compile a compute shader, or a fragment shader without derivatives, of shaders/."""
         self._context, self._name, self._constants = context, name, constants
-        self._programs: dict[bool, ComputeShader | Program] = {}
-        _ = self.program  # compiled now, so that no frame waits for it
+        self._programs: dict[bool, tuple[ComputeShader | Program, int]] = {}
+        self._program()  # compiled now, so that no frame waits for it
 
-    @property
-    def program(self) -> ComputeShader | Program:
-        """The program, for its textures and uniforms."""
+    def fill(self, target: RenderTarget, textures: Mapping[str, Any], **uniforms: Any) -> None:
+        """Compute all texels of a target, with `textures` and `uniforms` as of `Dispatch`."""
+        program, eyes = self._program()
+        if isinstance(program, ComputeShader):
+            self._context.dispatches.add(Dispatch(program, eyes, target.textures, textures, uniforms))
+            return
+        bind_textures(program, **textures)
+        set_uniforms(program, **uniforms)
+        self._context.draw_to(target.framebuffer)
+        self._context.no_vertices(program).render(vertices=3)
+
+    def _program(self) -> tuple[ComputeShader | Program, int]:
+        """Return the program, and the number of eyes that it serves at once."""
         computes = self._context.computes
         if computes not in self._programs:
             make = self._context.compute_program if computes else self._context.full_screen_program
-            self._programs[computes] = make(self._name, **self._constants)
+            eyes = self._context.dispatches.eyes if computes else 1
+            self._programs[computes] = make(self._name, **self._constants), eyes
         return self._programs[computes]
-
-    def fill(self, target: RenderTarget) -> None:
-        """Compute all texels of a target."""
-        program = self.program
-        if isinstance(program, ComputeShader):
-            self._context.compute(program, target.textures)
-        else:
-            self._context.draw_to(target.framebuffer)
-            self._context.no_vertices(program).render(vertices=3)
 
 
 class RenderTargets:

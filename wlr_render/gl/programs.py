@@ -51,6 +51,41 @@ def pass_source(name: str, group: int, constants: dict[str, float]) -> str:
     return "\n".join([*before, *images, "vec4 at_fragment;", text, *after])
 
 
+_PER_EYE = re.compile(r"^((?:uniform \w+|TEXTURE\(\d\)) )(\w+)(?:\[([^\]]+)\])?;", re.MULTILINE)
+_IMAGE = re.compile(r"^layout\(binding = (\d)\) uniform writeonly (\w+) (\w+);", re.MULTILINE)
+
+
+def for_eyes(text: str, eyes: int) -> str:
+    """Return a compute shader that serves several eyes in one dispatch: the eye is the work group's z.
+
+    Each uniform, sampler or image `name` becomes an array over the eyes, `of_eyes(name)`; image k of the first eye is
+    bound to unit k * eyes.
+    """
+    version, text = text.split("\n", 1)
+    names = [(found[2], found[3]) for found in _PER_EYE.finditer(text)] + [
+        (each[2], "") for each in _IMAGE.findall(text)
+    ]
+    text = _PER_EYE.sub(lambda found: f"{found[1]}{of_eyes(found[2])}[{eyes} * ({found[3] or 1})];", text)
+    text = _IMAGE.sub(
+        lambda found: (
+            f"layout(binding = {eyes * int(found[1])}) uniform writeonly {found[2]} {of_eyes(found[3])}[{eyes}];"
+        ),
+        text,
+    )
+    for name, count in names:
+        if count:
+            text = re.sub(rf"\b{name}\[([^\]]+)\]", rf"{of_eyes(name)}[EYE * ({count}) + \1]", text)
+        else:
+            text = re.sub(rf"\b{name}\b", f"{of_eyes(name)}[EYE]", text)
+    eye = "int(gl_WorkGroupID.z)" if eyes > 1 else "0"
+    return f"{version}\n#define EYE {eye}\n{text}"
+
+
+def of_eyes(name: str) -> str:
+    """Return the name of the array of a uniform's values for several eyes."""
+    return f"{name}_of_eyes"
+
+
 def _with_includes(text: str) -> str:
     """Replace each include line by the text of the file, recursively."""
     return _INCLUDE.sub(lambda found: _with_includes(_text(found[1])), text)
@@ -66,7 +101,7 @@ class _Uniforms:
     def __init__(self) -> None:
         self._handles: dict[str, Any] = {}
         self._written: dict[str, object] = {}
-        self.units: dict[str, tuple[int, ...]] = {}  # texture units of each sampler
+        self.units: dict[str, Any] = {}  # texture units of each sampler
 
     @staticmethod
     def of(program: Any) -> "_Uniforms":
@@ -75,10 +110,14 @@ class _Uniforms:
         found: _Uniforms = program.extra
         return found
 
+    def is_set(self, name: str, value: object) -> bool:
+        """Return whether a uniform has this value."""
+        return name in self._written and self._written[name] == value
+
     def set(self, program: Any, name: str, value: object, data: bytes | None = None) -> None:
         """Set a uniform to a value, or to an array of `data`; skip a uniform that the compiler has removed."""
-        new = value if data is None else data
-        if name in self._written and self._written[name] == new:
+        new = data if value is None else value
+        if self.is_set(name, new):
             return
         if name not in self._handles:
             self._handles[name] = program.get(name, None)
@@ -92,41 +131,50 @@ class _Uniforms:
 
 
 def set_uniforms(program: Any, **values: Any) -> None:
-    """Set uniforms, numbers or tuples of numbers, by name; skip uniforms that the compiler has removed."""
+    """Set uniforms by name: numbers, tuples of numbers, or arrays of vectors; skip those that the compiler removed."""
     uniforms = _Uniforms.of(program)
     for name, value in values.items():
-        uniforms.set(program, name, value)
+        if isinstance(value, np.ndarray):
+            uniforms.set(program, name, None, _floats(value))
+        else:
+            uniforms.set(program, name, value)
 
 
 def set_matrix(program: Any, name: str, matrix: NDArray[np.float64]) -> None:
     """Set a square matrix (n, n), rows first as in numpy; OpenGL expects columns first."""
-    set_array(program, name, matrix.T)
+    set_uniforms(program, **{name: matrix.T})
 
 
-def set_array(program: Any, name: str, rows: Sequence[NDArray[Any]] | NDArray[Any]) -> None:
-    """Set a uniform array of vectors."""
-    _Uniforms.of(program).set(program, name, None, np.array(rows, dtype=np.float32).tobytes())
+def _floats(values: NDArray[Any]) -> bytes:
+    return values.astype(np.float32).tobytes()
+
+
+def set_of_eyes(program: Any, name: str, values: Sequence[Any]) -> None:
+    """Set a uniform of a program `for_eyes` to the values of its eyes: numbers, tuples, or arrays of vectors."""
+    if isinstance(values[0], np.ndarray):
+        set_uniforms(program, **{of_eyes(name): np.concatenate(values)})
+        return
+    uniforms, name = _Uniforms.of(program), of_eyes(name)
+    if not uniforms.is_set(name, values):
+        numbers = np.array(values)
+        kind = np.float32 if numbers.dtype.kind == "f" else np.int32
+        uniforms.set(program, name, values, numbers.astype(kind).tobytes())
 
 
 def bind_textures(program: Any, **textures: Any) -> None:
-    """Give each sampler of a program its texture, and each array of samplers its textures.
+    """Give each sampler of a program its texture, and each array of samplers its textures, always the same samplers.
 
     Call it in a drawing block, and bind textures of these units in no other way: a texture that is already on its unit
-    is not bound again. Samplers of one texture share a unit.
+    is not bound again.
     """
     uniforms = _Uniforms.of(program)
-    units: dict[int, int] = {}  # unit by the identity of a texture
     of_units: list[Any] = []
     for name, given in textures.items():
-        of_name = []
-        for texture in given if isinstance(given, list | tuple) else (given,):
-            unit = units.setdefault(id(texture), len(units))
-            if unit == len(of_units):
-                of_units.append(texture)
-            of_name.append(unit)
-        if uniforms.units.get(name) != (now := tuple(of_name)):
-            uniforms.set(program, name, None, np.array(now, dtype=np.int32).tobytes())
-            uniforms.units[name] = now
+        several = given if isinstance(given, list) else [given]
+        if name not in uniforms.units:
+            uniforms.units[name] = np.arange(len(several), dtype=np.int32) + len(of_units)
+            uniforms.set(program, name, None, uniforms.units[name].tobytes())
+        of_units += several
     _units_of(program.ctx).bind(of_units)
 
 
@@ -150,9 +198,9 @@ class TextureUnits:
     def bind(self, textures: list[Any]) -> None:
         """Bind textures to the first units, and leave the other units unchanged."""
         bound = self.textures
-        changed = [k for k, each in enumerate(textures) if k >= len(bound) or bound[k] is not each]
-        if not changed:
+        if bound[: len(textures)] == textures:
             return
+        changed = [k for k, each in enumerate(textures) if k >= len(bound) or bound[k] is not each]
         if self._bind is not None:
             first, end = changed[0], changed[-1] + 1
             names = (ctypes.c_uint * (end - first))(*[each.glo for each in textures[first:end]])

@@ -328,11 +328,12 @@ class Compositor:
             targets = self._backend.targets(into, chosen, self.size_px)
             newest, measured = self._predictor.predict(newest, measured, time_s, predict_s)
             viewpoints = self._history.viewpoints | measured
-            for eye in chosen:
-                grid_rows, height_px = self._plans[eye].warp_grid.grid.rows, self.size_px[1]
-                poses = newest if last_row is None else row_poses(newest, last_row, height_px, grid_rows, scan)
-                to = targets.get(eye)
-                composed[eye] = self._backend.eyes[eye].compose(viewpoints[eye], newest, poses, to, with_source)
+            with self._backend.together():
+                for eye in chosen:
+                    grid_rows, height_px = self._plans[eye].warp_grid.grid.rows, self.size_px[1]
+                    poses = newest if last_row is None else row_poses(newest, last_row, height_px, grid_rows, scan)
+                    to = targets.get(eye)
+                    composed[eye] = self._backend.eyes[eye].compose(viewpoints[eye], newest, poses, to, with_source)
             self._backend.show(targets)
             generations = {eye: self._backend.eyes[eye].generation for eye in chosen}
 

@@ -161,6 +161,7 @@ class GlEye:
         """
         assert self._view is not None, "the compositor checks that the eye is submitted"
         self.generation += 1
+        self._context.dispatches.next_eye()
 
         def seen_from(view: View) -> tuple[FloatArray, list[SeenOverlay]]:
             moved = image_from_ray_map(view, viewpoint, self._plan.device_from_camera, world_from_device_by_row)
@@ -254,6 +255,9 @@ class GlBackend:
             self.context, TEXTURE_KINDS[max(panel.bits for panel in panels.values())]
         )
         try:
+            if self.context.computes:
+                with self.context.drawing():
+                    self.context.dispatches.serve(len(plans))
             for plan in plans:
                 _check_sizes(plan, self.context.largest_side_px)
             self.eyes = {
@@ -266,6 +270,10 @@ class GlBackend:
     def working(self) -> AbstractContextManager[object]:
         """Return a block in which the backend may be called."""
         return self.context.working()
+
+    def together(self) -> AbstractContextManager[object]:
+        """Return a block in which several eyes are composed, by one dispatch of each shader if the context computes."""
+        return self.context.dispatches.together() if self.context.computes else contextlib.nullcontext()
 
     @contextlib.contextmanager
     def reading(self, eye: str, generation: int) -> Iterator[None]:

@@ -69,7 +69,6 @@ class GlCells:
         matrices = image.camera.image_from_camera @ image_from_ray_map
         by_rows = matrices.ndim == 3
         cells = self._targets.get("cells", (warp_grid.columns, warp_grid.rows * self._channels), *[(4, "f4")] * 3)
-        program = self._filling.program
         rays = [each.slope_offset for each in ray_maps]
         # The tiles stay on their unit for the warp. Unused samplers share a texture, because none may read a target.
         unused = dict.fromkeys(("row_matrices", "inset_ranges"), rays[0])
@@ -83,11 +82,9 @@ class GlCells:
             inputs[:3] = matrices
         if inset is not None:
             textures["inset_ranges"] = inset.mixed_bends_and_ranges
-        gl.set_uniforms(program, has_row_matrices=by_rows, is_inset=is_inset, has_inset=inset is not None)
-        gl.bind_textures(program, **textures)
         per_cell = display_size_px[0] / (warp_grid.columns - 1), display_size_px[1] / (warp_grid.rows - 1)
         inputs[3] = *image.inverse_depth.size, *per_cell
-        gl.set_array(program, "inputs_of_picture", inputs)
-        self._filling.fill(cells)
+        uniforms = {"has_row_matrices": by_rows, "is_inset": is_inset, "has_inset": inset is not None}
+        self._filling.fill(cells, textures, inputs_of_picture=inputs, **uniforms)
         paths, bends, mixed_bends_and_ranges = cells.textures
         return WarpCells(paths, bends, mixed_bends_and_ranges, ranges)

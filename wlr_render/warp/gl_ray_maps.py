@@ -119,11 +119,8 @@ class GlPlanarSolver:
     def solve(self, viewpoint: FloatArray) -> GpuRayMap:
         """Solve a ray map in the shader; see `RayMapSolver.solve`."""
         viewpoint = checked_viewpoint(viewpoint)
-        program = self._solve.program
         with self._context.drawing():
-            gl.bind_textures(program, terms=self._texture)
-            gl.set_array(program, "inputs_of_eye", self._inputs(viewpoint))
-            self._solve.fill(self._target)
+            self._solve.fill(self._target, {"terms": self._texture}, inputs_of_eye=self._inputs(viewpoint))
         slope_offset, status = self._target.textures
         return GpuRayMap(self._warp_grid, slope_offset, self._context, viewpoint, self._device_from_camera, status)
 

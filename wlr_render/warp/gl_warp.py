@@ -1,6 +1,7 @@
 """Backward warp of an intermediate image on the GPU; `warp.py` states the algorithm."""
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -23,8 +24,8 @@ from wlr_render.warp.gpu_image import GlDepthRanges, GpuImage
 from wlr_render.warp.grid import WarpGrid
 from wlr_render.warp.warp import WarpedImage
 
-_Run = tuple[gl.Program | gl.ComputeShader, Callable[[], object]]
-"""A program, and the function that runs it when its textures and uniforms are set."""
+_Fill = Callable[..., None]
+"""Draws a picture from textures by sampler name and uniforms as keywords."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +125,7 @@ class GlWarp:
         self._targets = gl.RenderTargets(context)
         self._colours: WeakKeyDictionary[gl.RenderTarget, gl.RenderTarget] = WeakKeyDictionary()
         self._drawings: dict[tuple[int, bool, int], gl.VertexArray] = {}
+        self._passes: dict[bool, gl.Pass] = {}
 
     def draw(
         self,
@@ -177,18 +179,15 @@ class GlWarp:
     ) -> None:
         """Draw the colour alone into a caller's framebuffer; for arguments and errors see `draw`."""
         with self._context.drawing():
-            before = target.framebuffer.viewport
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
             drawn = pictures, ray_maps, image_from_ray_map
-            try:
-                if self._context.computes or backdrop is not None:
-                    made = self._target_to_copy(target.size_px)
-                    self._draw(*drawn, made, background, overlays, backdrop)
-                    self._copy(made.textures[0], target)
-                else:
-                    self._draw(*drawn, target, background, overlays, backdrop)
-            finally:
-                target.framebuffer.viewport = before
+            if self._context.computes or backdrop is not None:
+                made = self._target_to_copy(target.size_px)
+                self._draw(*drawn, made, background, overlays, backdrop)
+                self._context.dispatches.add(partial(self._copy, made.textures[0], target))
+                return
+            with _viewport_kept(target):
+                self._draw(*drawn, target, background, overlays, backdrop)
 
     def _target_to_copy(self, size_px: tuple[int, int]) -> gl.RenderTarget:
         kind = (
@@ -221,19 +220,18 @@ class GlWarp:
         cells = self._drawn_cells(pictures, ray_maps, image_from_ray_map, size_px)
         light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
         for k, (picture, front) in enumerate(zip(pictures, cells, strict=True)):
-            uniforms = {"background": light, "is_inset": k > 0}
+            uniforms = {"background": light, "is_inset": k > 0, "widest_from_inset": (1.0, 1.0, 0.0, 0.0)}
             if k > 0:
                 uniforms["widest_from_inset"] = pixels_from(picture.image.camera, pictures[0].image.camera)
-            for program, run in self._runs(target, ray_maps[0].warp_grid, bool(overlays)):
-                self._set(program, picture, front, overlays or None, uniforms)
-                run()
+            textures, of_picture = self._inputs(picture, front, overlays or None)
+            for fill in self._fills(target, ray_maps[0].warp_grid, bool(overlays)):
+                fill(textures, **of_picture, **uniforms)
             if backdrop is not None:
                 assert isinstance(target, gl.RenderTarget), "a backdrop reads the status of the pictures before it"
-                program, run = self._runs(self._without_status(target), ray_maps[0].warp_grid, bool(overlays))[-1]
-                uniforms |= {"is_inset": False}
+                fill = self._fills(self._without_status(target), ray_maps[0].warp_grid, bool(overlays))[-1]
                 over = backdrop.overlays if overlays else None
-                self._set(program, backdrop.picture, backdrop_cells, over, uniforms, front, target.textures[1])
-                run()
+                textures, of_picture = self._inputs(backdrop.picture, backdrop_cells, over, front, target.textures[1])
+                fill(textures, **of_picture, **uniforms | {"is_inset": False})
 
     def _without_status(self, target: gl.RenderTarget) -> gl.RenderTarget:
         """Return a target of the colour alone, to draw to while the status is read."""
@@ -258,27 +256,25 @@ class GlWarp:
             cells.insert(0, self._cells[k].draw(*drawn, is_inset=k > 0, inset=cells[0] if cells else None))
         return cells
 
-    def _runs(self, target: WarpTarget | gl.RenderTarget, warp_grid: WarpGrid, overlays: bool) -> list[_Run]:
-        """Return the programs that draw to a target: one per kind of cells, or one for both; the last follows depth."""
+    def _fills(self, target: WarpTarget | gl.RenderTarget, warp_grid: WarpGrid, overlays: bool) -> list[_Fill]:
+        """Return what draws to a target: for each kind of cells, or for both; the last follows depth."""
         if isinstance(target, gl.RenderTarget):
             if self._context.computes:
-                program = self._context.compute_program("warp.comp", **self._constants(overlays))
-                gl.set_uniforms(program, with_source=len(target.textures) > 2)
-                return [(program, partial(self._context.compute, program, target.textures))]
+                if overlays not in self._passes:
+                    self._passes[overlays] = gl.Pass(self._context, "warp.comp", **self._constants(overlays))
+                return [partial(self._passes[overlays].fill, target, with_source=len(target.textures) > 2)]
             target = WarpTarget(target.framebuffer, (0, 0), target.framebuffer.size, True)
         target.framebuffer.viewport = (*target.first_px, *target.size_px)
         self._context.draw_to(target.framebuffer)
         cells = (warp_grid.columns - 1) * (warp_grid.rows - 1)
-        runs: list[_Run] = []
+        fills: list[_Fill] = []
         for march in (0, 1):
             key = march, overlays, cells
             if key not in self._drawings:
                 of_cells = self._context.program("warp.vert", "warp.frag", MARCH=march, **self._constants(overlays))
                 self._drawings[key] = self._context.triangles(of_cells, {}, _triangles_of(cells))
-            drawing = self._drawings[key]
-            gl.set_uniforms(drawing.program, top_row_first=target.top_row_first)
-            runs.append((drawing.program, drawing.render))
-        return runs
+            fills.append(partial(_fill_cells, self._drawings[key], top_row_first=target.top_row_first))
+        return fills
 
     def _constants(self, overlays: bool) -> dict[str, float]:
         return {"OVERLAYS": int(overlays), "CHANNELS": self._channels} | self._panel.constants | WARP_CONSTANTS
@@ -286,54 +282,67 @@ class GlWarp:
     def _copy(self, colour: gl.Texture, target: WarpTarget) -> None:
         """Copy a picture to a caller's target of any format and number of samples."""
         copying = self._context.full_screen("copy.frag")
-        target.framebuffer.viewport = (*target.first_px, *target.size_px)
-        self._context.draw_to(target.framebuffer)
-        gl.bind_textures(copying.program, image=colour)
-        height = 0 if target.top_row_first else target.size_px[1]
-        gl.set_uniforms(copying.program, first_px=target.first_px, turned_height=height)
-        copying.render(vertices=3)
+        with _viewport_kept(target):
+            self._context.draw_to(target.framebuffer)
+            gl.bind_textures(copying.program, image=colour)
+            height = 0 if target.top_row_first else target.size_px[1]
+            gl.set_uniforms(copying.program, first_px=target.first_px, turned_height=height)
+            copying.render(vertices=3)
 
-    def _set(
+    def _inputs(
         self,
-        program: gl.Program | gl.ComputeShader,
         picture: WarpedPicture,
         cells: WarpCells,
         overlays: Sequence[SeenOverlay] | None,
-        uniforms: dict[str, Any],
         front: WarpCells | None = None,
         front_status: gl.Texture | None = None,
-    ) -> None:
-        """Give a program the textures and uniforms of a picture; overlays are None for a program without them.
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return textures and uniforms of a picture; overlays are None for a program without them.
 
         For a backdrop they include cells and status of the picture in front.
         """
         image = picture.image
         gl.read_between_texels(image.colour)
-        textures: dict[str, Any] = dict(self._panel.textures)
+        textures: dict[str, Any] = {
+            "paths": cells.paths,
+            "tiles": cells.ranges.tiles,
+            "bends": cells.bends,
+            "mixed_bends_and_ranges": cells.mixed_bends_and_ranges,
+            "front_ranges": (front or cells).mixed_bends_and_ranges,
+            "front_status": front_status or self._context.no_status,
+            "picture": image.colour,
+            "inverse_depth": image.inverse_depth,
+            **self._panel.textures,
+        }
+        uniforms: dict[str, Any] = {
+            "opaque": 0.0 if image.has_alpha else 1.0,
+            "most_samples_per_axis": float(picture.samples_per_axis),
+            "is_backdrop": front is not None,
+        }
         if overlays is not None:
             given = [each.texture for each in overlays]
             textures["overlays"] = given + [image.colour] * (MAX_OVERLAYS - len(given))
             places = np.zeros((MAX_OVERLAYS, 3, 3))
             for place, overlay in zip(places, overlays, strict=False):
                 place[:] = overlay.place_of_ray @ image.camera.camera_from_image
-            gl.set_array(program, "overlay_place", places)
-            gl.set_uniforms(program, overlay_count=len(overlays))
-        gl.bind_textures(
-            program,
-            paths=cells.paths,
-            tiles=cells.ranges.tiles,
-            bends=cells.bends,
-            mixed_bends_and_ranges=cells.mixed_bends_and_ranges,
-            front_ranges=(front or cells).mixed_bends_and_ranges,
-            front_status=front_status or self._context.no_status,
-            picture=image.colour,
-            inverse_depth=image.inverse_depth,
-            **textures,
-        )
-        opaque, samples = 0.0 if image.has_alpha else 1.0, float(picture.samples_per_axis)
-        gl.set_uniforms(
-            program, opaque=opaque, most_samples_per_axis=samples, is_backdrop=front is not None, **uniforms
-        )
+            uniforms |= {"overlay_place": places, "overlay_count": len(overlays)}
+        return textures, uniforms
+
+
+def _fill_cells(drawing: gl.VertexArray, textures: dict[str, Any], **uniforms: Any) -> None:
+    gl.bind_textures(drawing.program, **textures)
+    gl.set_uniforms(drawing.program, **uniforms)
+    drawing.render()
+
+
+@contextlib.contextmanager
+def _viewport_kept(target: WarpTarget) -> Iterator[None]:
+    """Draw to the target's viewport in a block, and restore the framebuffer's at its end."""
+    before, target.framebuffer.viewport = target.framebuffer.viewport, (*target.first_px, *target.size_px)
+    try:
+        yield
+    finally:
+        target.framebuffer.viewport = before
 
 
 def _triangles_of(cells: int) -> NDArray[np.uint32]:

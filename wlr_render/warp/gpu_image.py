@@ -110,7 +110,7 @@ class GlDepthRanges:
                 return ranges
         self._targets = self._targets[::-1]
         size = image.inverse_depth.size
-        (tiles,) = self._draw("tiles", self._of_image, _tiled(size), values=image.inverse_depth)
+        (tiles,) = self._draw("tiles", self._of_image, _tiled(size), inverse_depths=image.inverse_depth)
         large_size = _tiled(_tiled(size))
         (large,) = self._draw("large tiles", self._of_tiles, large_size, large_tiles=image.inverse_depth, tiles=tiles)
         side = 1 << max(2, (-(-max(_tiled(size)) // 2) - 1).bit_length())
@@ -120,8 +120,7 @@ class GlDepthRanges:
 
     def _draw(self, name: str, filling: gl.Pass, size: tuple[int, int], **textures: gl.Texture) -> Sequence[gl.Texture]:
         target = self._targets[0].get(name, size, (2, "f4"))
-        gl.bind_textures(filling.program, **textures)
-        filling.fill(target)
+        filling.fill(target, textures)
         return target.textures
 
 
