@@ -13,12 +13,14 @@ import moderngl
 import numpy as np
 
 from benchmarks.submission.gl_calls import GlCalls, is_get
+from wlr_render.gl import gl
 from wlr_render.mappings import Eye
 from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.stored_picture import DepthKind, StoredDepth
 
 WAYS = {
     "own": "own context",
+    "computed": "own context, compute shaders also on a software renderer",
     "shared": "context that shares with the host's, each call switches to it",
     "block": "context that shares with the host's, one switch a frame",
     "clean": "the context of a clean host",
@@ -57,11 +59,12 @@ class Host:
 
     def __init__(self, models: Mapping[str, Eye], size: tuple[int, int], way: str) -> None:
         settings: Any = {"standalone": True, "require": 410, "backend": "egl"}
-        self._caller = None if way == "own" else moderngl.create_context(**settings)
+        self._caller = None if way in ("own", "computed") else moderngl.create_context(**settings)
+        self._own = gl.open_context("egl") if self._caller is None else None
+        if self._own is not None and way == "computed":
+            self._own.computes = True
         host_state: Any = "clean" if way == "clean" else "kept"
-        self.compositor = Compositor(
-            models, size, context="egl" if self._caller is None else self._caller, host_state=host_state
-        )
+        self.compositor = Compositor(models, size, context=self._own or self._caller, host_state=host_state)
         self._models, self._in_block = models, way == "block"
         with self._working():
             ctx = self._caller or vars(self.compositor.context)["_ctx"]
@@ -91,8 +94,9 @@ class Host:
     def release(self) -> None:
         """Free the compositor and the host's context."""
         self.compositor.release()
-        if self._caller is not None:
-            self._caller.release()
+        for context in (self._own, self._caller):
+            if context is not None:
+                context.release()
 
     def _working(self) -> contextlib.AbstractContextManager[object]:
         return self.compositor.context.drawing() if self._caller is None else contextlib.nullcontext()

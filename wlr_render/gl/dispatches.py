@@ -35,9 +35,9 @@ class Dispatch:
     textures: Mapping[str, Any]
     uniforms: Mapping[str, Any]
 
-    def is_like(self, other: object) -> bool:
+    def is_like(self, other: "Dispatch") -> bool:
         """Return whether one dispatch can serve both."""
-        return isinstance(other, Dispatch) and self.program is other.program and len(self.targets) == len(other.targets)
+        return self.program is other.program and len(self.targets) == len(other.targets)
 
 
 Work = Dispatch | Callable[[], None]

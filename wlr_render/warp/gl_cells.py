@@ -70,9 +70,9 @@ class GlCells:
         by_rows = matrices.ndim == 3
         cells = self._targets.get("cells", (warp_grid.columns, warp_grid.rows * self._channels), *[(4, "f4")] * 3)
         rays = [each.slope_offset for each in ray_maps]
-        # The tiles stay on their unit for the warp. Unused samplers share a texture, because none may read a target.
+        # Unused samplers have a texture too, because none may read a target.
         unused = dict.fromkeys(("row_matrices", "inset_ranges"), rays[0])
-        textures: dict[str, Any] = {"ranges": ranges.pyramid, "tiles": ranges.tiles, "slope_offset": rays, **unused}
+        textures: dict[str, Any] = {"ranges": ranges.pyramid, "slope_offset": rays, **unused}
         inputs = np.zeros((4, 4))
         if by_rows:
             rows = self._targets.get("row matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
