@@ -10,6 +10,8 @@ import pytest
 from warps.composing import HEAD, SMALL, Make, planar, programs_compiled, scene, viewpoint
 
 from wlr_render.draw.gl_raster import GlRaster
+from wlr_render.gl import context
+from wlr_render.gl.programs import for_eyes
 from wlr_render.io.atomic_files import resource
 from wlr_render.warp.panel_light import PanelLight
 
@@ -41,9 +43,16 @@ def test_the_reference_compiler_accepts_every_shader(
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         pytest.skip("glslangValidator is not installed (glslang-tools).")
-    compiled = programs_compiled(monkeypatch)
+    compiled, of_one_eye = programs_compiled(monkeypatch), []
+
+    def recorded(text: str, eyes: int) -> str:
+        of_one_eye.append(text)
+        return for_eyes(text, eyes)
+
+    monkeypatch.setattr(context, "for_eyes", recorded)
     compose_all_kinds(compositor)
     sources = {text: STAGES[kind] for shaders in compiled for kind, text in shaders.items()}
+    sources |= {for_eyes(text, 2): "comp" for text in of_one_eye}
     written = [tmp_path / f"{number}.{stage}" for number, stage in enumerate(sources.values())]
     for path, text in zip(written, sources, strict=True):
         path.write_text(text, encoding="utf-8")
