@@ -79,10 +79,10 @@ class GlRaster:
             size_px=(camera.width_px, camera.height_px),
             near=NEAR_M,
             ambient=_triple(self._scene.ambient),
-            point_light_position=np.array(lamps),
-            point_light_colour=np.array([light.colour for light in self._lamps]),
-            towards_directional_light=np.array(suns),
-            directional_light_colour=np.array([light.colour for light in self._suns]),
+            point_light_position=gl.floats(np.array(lamps)),
+            point_light_colour=gl.floats(np.array([light.colour for light in self._lamps])),
+            towards_directional_light=gl.floats(np.array(suns)),
+            directional_light_colour=gl.floats(np.array([light.colour for light in self._suns])),
         )
 
     def _set_instance(self, camera_from_world: FloatArray, index: int) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from wlr_render.gl.native_contexts import CurrentContext
-from wlr_render.gl.programs import MULTI_BIND_VERSION, bind_textures, of_eyes, set_of_eyes
+from wlr_render.gl.programs import MULTI_BIND_VERSION, bind_textures, of_eyes, set_uniforms
 
 GROUP = 8
 """Side of a compute shader's work group, in texels."""
@@ -26,7 +26,7 @@ class Dispatch:
         eyes: number of eyes that the shader serves at once.
         targets: ModernGL textures of one size, the shader's images 0, 1 and so on.
         textures: textures by the name of their sampler; a list for an array of samplers.
-        uniforms: values by name: a number, a tuple of numbers, or an array of vectors.
+        uniforms: values by name: as of `set_uniforms`.
     """
 
     program: Any
@@ -102,8 +102,7 @@ class Dispatches:
         first, program = works[0], works[0].program
         slots = [*works, *[first] * (first.eyes - len(works))]  # an unused slot must have valid textures
         bind_textures(program, **{of_eyes(name): _flat(name, slots) for name in first.textures})
-        for name in first.uniforms:
-            set_of_eyes(program, name, [each.uniforms[name] for each in slots])
+        set_uniforms(program, **{of_eyes(name): [each.uniforms[name] for each in slots] for name in first.uniforms})
         self._bind_images([each.targets[k] for k in range(len(first.targets)) for each in slots])
         sizes = [each.targets[0].size for each in works]
         program.run(

@@ -38,15 +38,14 @@ from wlr_render.gl.native_contexts import (
     OsMesaBinding,
 )
 from wlr_render.gl.ownership import Host, HostContext, OwnContext
-from wlr_render.gl.programs import GLSL_VERSION
+from wlr_render.gl.programs import GLSL_VERSION, UNITS
 from wlr_render.gl.programs import bind_textures as bind_textures
+from wlr_render.gl.programs import floats as floats
 from wlr_render.gl.programs import set_matrix as set_matrix
 from wlr_render.gl.programs import set_uniforms as set_uniforms
 
 _FRAMEBUFFER = 0x8D40
 _VERSION = divmod(GLSL_VERSION // 10, 10)
-UNITS = 32
-"""Number of texture units that are used in a clean host's context."""
 
 
 def is_srgb(texture: Texture) -> bool:

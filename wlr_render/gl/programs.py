@@ -2,7 +2,6 @@
 
 import ctypes
 import re
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,9 @@ COMPUTE_VERSION = 430
 
 MULTI_BIND_VERSION = 440
 """OpenGL 4.4 binds several textures in one call."""
+
+UNITS = 32
+"""Number of texture units that are used."""
 
 _INCLUDE = re.compile(r'^#include "(\w+\.glsl)"$', re.MULTILINE)
 
@@ -101,7 +103,7 @@ class _Uniforms:
     def __init__(self) -> None:
         self._handles: dict[str, Any] = {}
         self._written: dict[str, object] = {}
-        self.units: dict[str, Any] = {}  # texture units of each sampler
+        self.has_units = False  # whether the samplers have their texture units
 
     @staticmethod
     def of(program: Any) -> "_Uniforms":
@@ -110,59 +112,47 @@ class _Uniforms:
         found: _Uniforms = program.extra
         return found
 
-    def is_set(self, name: str, value: object) -> bool:
-        """Return whether a uniform has this value."""
-        return name in self._written and self._written[name] == value
-
-    def set(self, program: Any, name: str, value: object, data: bytes | None = None) -> None:
-        """Set a uniform to a value, or to an array of `data`; skip a uniform that the compiler has removed."""
-        new = data if value is None else value
-        if self.is_set(name, new):
+    def set(self, program: Any, values: dict[str, Any]) -> None:
+        """Set uniforms to values as of `set_uniforms`; skip those that the compiler has removed."""
+        if values.items() <= self._written.items():
             return
-        if name not in self._handles:
-            self._handles[name] = program.get(name, None)
-        uniform = self._handles[name]
-        if uniform is not None:
-            if data is None:
+        for name, value in values.items():
+            if name in self._written and self._written[name] == value:
+                continue
+            if name not in self._handles:
+                self._handles[name] = program.get(name, None)
+            uniform = self._handles[name]
+            if uniform is not None and isinstance(value, list | bytes):
+                uniform.write(value if isinstance(value, bytes) else _packed(value))
+            elif uniform is not None:
                 uniform.value = value
-            else:
-                uniform.write(data)
-        self._written[name] = new
+            self._written[name] = value
 
 
 def set_uniforms(program: Any, **values: Any) -> None:
-    """Set uniforms by name: numbers, tuples of numbers, or arrays of vectors; skip those that the compiler removed."""
-    uniforms = _Uniforms.of(program)
-    for name, value in values.items():
-        if isinstance(value, np.ndarray):
-            uniforms.set(program, name, None, _floats(value))
-        else:
-            uniforms.set(program, name, value)
+    """Set uniforms by name: numbers, tuples of numbers, or `floats`; a list for an array of these."""
+    _Uniforms.of(program).set(program, values)
+
+
+def floats(vectors: NDArray[Any]) -> bytes:
+    """Return an array of vectors as the value of a uniform."""
+    return vectors.astype(np.float32).tobytes()
 
 
 def set_matrix(program: Any, name: str, matrix: NDArray[np.float64]) -> None:
     """Set a square matrix (n, n), rows first as in numpy; OpenGL expects columns first."""
-    set_uniforms(program, **{name: matrix.T})
+    set_uniforms(program, **{name: floats(matrix.T)})
 
 
-def _floats(values: NDArray[Any]) -> bytes:
-    return values.astype(np.float32).tobytes()
-
-
-def set_of_eyes(program: Any, name: str, values: Sequence[Any]) -> None:
-    """Set a uniform of a program `for_eyes` to the values of its eyes: numbers, tuples, or arrays of vectors."""
-    if isinstance(values[0], np.ndarray):
-        set_uniforms(program, **{of_eyes(name): np.concatenate(values)})
-        return
-    uniforms, name = _Uniforms.of(program), of_eyes(name)
-    if not uniforms.is_set(name, values):
-        numbers = np.array(values)
-        kind = np.float32 if numbers.dtype.kind == "f" else np.int32
-        uniforms.set(program, name, values, numbers.astype(kind).tobytes())
+def _packed(values: list[Any]) -> bytes:
+    if isinstance(values[0], bytes):
+        return b"".join(values)
+    numbers = np.array(values)
+    return numbers.astype(np.float32 if numbers.dtype.kind == "f" else np.int32).tobytes()
 
 
 def bind_textures(program: Any, **textures: Any) -> None:
-    """Give each sampler of a program its texture, and each array of samplers its textures, always the same samplers.
+    """Give each sampler of a program its texture, and each array of samplers its list; always the same samplers.
 
     Call it in a drawing block, and bind textures of these units in no other way: a texture that is already on its unit
     is not bound again.
@@ -171,16 +161,16 @@ def bind_textures(program: Any, **textures: Any) -> None:
     of_units: list[Any] = []
     for name, given in textures.items():
         several = given if isinstance(given, list) else [given]
-        if name not in uniforms.units:
-            uniforms.units[name] = np.arange(len(several), dtype=np.int32) + len(of_units)
-            uniforms.set(program, name, None, uniforms.units[name].tobytes())
+        if not uniforms.has_units:
+            uniforms.set(program, {name: list(range(len(of_units), len(of_units) + len(several)))})
         of_units += several
+    uniforms.has_units = True
     _units_of(program.ctx).bind(of_units)
 
 
 def forget_textures(ctx: Any) -> None:
     """Forget all bound textures, so that they are bound again; call it when other software may have bound textures."""
-    _units_of(ctx).textures.clear()
+    _units_of(ctx).forget()
 
 
 class TextureUnits:
@@ -191,24 +181,26 @@ class TextureUnits:
 
     def __init__(self, ctx: Any, current: CurrentContext) -> None:
         """Prepare for a context that is current."""
-        self.textures: list[Any] = []
         types = ctypes.c_uint, ctypes.c_int, ctypes.c_void_p
         self._bind = current.function("glBindTextures", *types) if ctx.version_code >= MULTI_BIND_VERSION else None
+        self._names = (ctypes.c_uint * UNITS)()
+        self.forget()
+
+    def forget(self) -> None:
+        """Bind all textures again from now on."""
+        self._textures: list[Any] = [None] * UNITS
 
     def bind(self, textures: list[Any]) -> None:
         """Bind textures to the first units, and leave the other units unchanged."""
-        bound = self.textures
-        if bound[: len(textures)] == textures:
-            return
-        changed = [k for k, each in enumerate(textures) if k >= len(bound) or bound[k] is not each]
-        if self._bind is not None:
-            first, end = changed[0], changed[-1] + 1
-            names = (ctypes.c_uint * (end - first))(*[each.glo for each in textures[first:end]])
-            self._bind(first, end - first, ctypes.addressof(names))
-        else:
-            for k in changed:
+        bound, names = self._textures, self._names
+        changed = [k for k, each in enumerate(textures) if bound[k] is not each]
+        for k in changed:
+            bound[k], names[k] = textures[k], textures[k].glo
+            if self._bind is None:
                 textures[k].use(k)
-        bound[: len(textures)] = textures
+        if changed and self._bind is not None:
+            first, count = changed[0], changed[-1] + 1 - changed[0]
+            self._bind(first, count, ctypes.byref(names, ctypes.sizeof(ctypes.c_uint) * first))
 
 
 def _units_of(ctx: Any) -> TextureUnits:

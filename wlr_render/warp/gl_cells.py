@@ -85,6 +85,6 @@ class GlCells:
         per_cell = display_size_px[0] / (warp_grid.columns - 1), display_size_px[1] / (warp_grid.rows - 1)
         inputs[3] = *image.inverse_depth.size, *per_cell
         uniforms = {"has_row_matrices": by_rows, "is_inset": is_inset, "has_inset": inset is not None}
-        self._filling.fill(cells, textures, inputs_of_picture=inputs, **uniforms)
+        self._filling.fill(cells, textures, inputs_of_picture=gl.floats(inputs), **uniforms)
         paths, bends, mixed_bends_and_ranges = cells.textures
         return WarpCells(paths, bends, mixed_bends_and_ranges, ranges)

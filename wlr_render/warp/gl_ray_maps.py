@@ -120,7 +120,8 @@ class GlPlanarSolver:
         """Solve a ray map in the shader; see `RayMapSolver.solve`."""
         viewpoint = checked_viewpoint(viewpoint)
         with self._context.drawing():
-            self._solve.fill(self._target, {"terms": self._texture}, inputs_of_eye=self._inputs(viewpoint))
+            inputs = gl.floats(self._inputs(viewpoint))
+            self._solve.fill(self._target, {"terms": self._texture}, inputs_of_eye=inputs)
         slope_offset, status = self._target.textures
         return GpuRayMap(self._warp_grid, slope_offset, self._context, viewpoint, self._device_from_camera, status)
 

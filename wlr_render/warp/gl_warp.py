@@ -325,7 +325,7 @@ class GlWarp:
             places = np.zeros((MAX_OVERLAYS, 3, 3))
             for place, overlay in zip(places, overlays, strict=False):
                 place[:] = overlay.place_of_ray @ image.camera.camera_from_image
-            uniforms |= {"overlay_place": places, "overlay_count": len(overlays)}
+            uniforms |= {"overlay_place": gl.floats(places), "overlay_count": len(overlays)}
         return textures, uniforms
 
 
