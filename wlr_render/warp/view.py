@@ -1,7 +1,6 @@
 """The camera pose and intrinsics of a picture, their file, and the transform of rays to the camera's frame."""
 
 import functools
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.io.atomic_files import write_text
+from wlr_render.io.toml_files import write_json
 from wlr_render.numerics.arrays import read_only
 
 
@@ -89,4 +88,4 @@ def write_view(path: str | Path, view: View) -> Path:
         "position_in_device_m": view.position_in_device.tolist(),
         "world_from_camera": view.world_from_camera.tolist(),
     }
-    return write_text(path, json.dumps(record, indent=1) + "\n")
+    return write_json(path, record)
