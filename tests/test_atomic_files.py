@@ -119,6 +119,24 @@ def test_only_near_spellings_of_a_key_are_suggested(key: str, remedy: str) -> No
 
 
 @pytest.mark.parametrize(
+    ("key", "other"),
+    [
+        ("u_axis", "v_axis"),
+        ("aperture_x_mm", "aperture_y_mm"),
+        ("aperture_x_m", "aperture_y_mm"),
+        ("camera_qx", "camera_qw"),
+    ],
+)
+def test_no_key_is_suggested_for_that_of_another_axis(key: str, other: str) -> None:
+    given = Table({key: 1}, "thing.toml")
+    assert not given.has(other)
+    with pytest.raises(BadInputError, match=f"unknown key '{key}'; remove it"):
+        given.finish()
+    with pytest.raises(BadInputError, match=f"key '{other}' is missing; write it"):
+        given.number(other)
+
+
+@pytest.mark.parametrize(
     ("content", "sentence"),
     [
         ('{"a": 1, "a": 2}', r"cannot be read as a thing \(key 'a' is there twice\); write it again"),

@@ -155,6 +155,7 @@ def test_frame_unit_and_pixel_become_ours() -> None:
 FAULTS = {
     "column missing": ("travel,", "", "column 'travel' is missing"),
     "mistyped column": ("pixel_u", "pixel_uu", "unknown column 'pixel_uu'; did you mean 'pixel_u'?"),
+    "column of no axis": ("pixel_u", "pixel_w", "unknown column 'pixel_w'; remove it"),
     "strange column": ("pixel_v\n", "pixel_v,weather\n", "unknown column 'weather'; remove it"),
     "column twice": ("pixel_v\n", "pixel_v,time_s\n", "column 'time_s' occurs twice"),
     "other unit": ("stage_x_mm", "stage_x_m", "column 'stage_x_m' has another unit than 'stage_x_mm' (mm)"),

@@ -1,6 +1,5 @@
 """Read, check and write the tables of a bench session: CSV, plain or gzipped, by their schemas."""
 
-import difflib
 import gzip
 import io
 import re
@@ -14,7 +13,7 @@ from wlr_render.captures.session_schema import NUMBER, POSITIVE, Column, Columns
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import write_bytes
 from wlr_render.io.delimited_text import STATED_SEPARATOR, is_number, with_commas
-from wlr_render.io.input_files import LIMITS, as_bad_input, decode_text, gunzip, read_bytes, shown
+from wlr_render.io.input_files import LIMITS, as_bad_input, decode_text, gunzip, near_spelling, read_bytes, shown
 from wlr_render.numerics.arrays import FloatArray
 
 _UNIT_TOLERANCE = 1e-3  # largest error of a unit vector's length, from numbers of four digits
@@ -100,8 +99,8 @@ def _unknown(name: str, absent: Sequence[Column]) -> str:
         if _UNIT_SUFFIX.sub("", name) == _UNIT_SUFFIX.sub("", column.name):
             unit = column.unit or "a bare number"
             return f"column '{name}' has another unit than '{column.name}' ({unit}); convert it and rename it."
-    close = difflib.get_close_matches(name, [column.name for column in absent], 1)
-    return f"unknown column '{name}'; " + (f"did you mean '{close[0]}'?" if close else "remove it.")
+    near = near_spelling(name, [column.name for column in absent])
+    return f"unknown column '{name}'; " + (f"did you mean '{near}'?" if near else "remove it.")
 
 
 def _values(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Sequence[int]) -> FloatArray:

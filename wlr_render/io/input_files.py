@@ -6,6 +6,7 @@ parser becomes one sentence. `LIMITS` has the sizes.
 
 import contextlib
 import contextvars
+import difflib
 import gzip
 import hashlib
 import io
@@ -15,7 +16,7 @@ import re
 import reprlib
 import stat
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,9 @@ class InputLimits:
 LIMITS = InputLimits()
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # TIFF tags
 _REWRITE = "write it again"
+_NEAR = 0.75  # least similarity of a mistyped key or column, as difflib measures it; 'eye' and 'eye_box' have 0.6
+_AXES = re.compile(r"(?:^|(?<=_))q?[u-z](?=_|$)")
+"""Axes in a key or column: the v of v_axis, the x of aperture_x_mm, the qw of camera_qw."""
 _short = reprlib.Repr()
 _short.maxstring = _short.maxother = 100
 _short.maxdict = _short.maxlist = 4
@@ -173,6 +177,16 @@ def shown(value: object, quoted: bool = True) -> str:
     except (ValueError, RecursionError):  # an integer of more than 4300 digits, or deep nesting
         return f"a large {type(value).__name__}"
     return text if quoted else text[1:-1]
+
+
+def near_spelling(name: str, others: Iterable[str]) -> str | None:
+    """Return the key or column that is spelled most like `name`, to be suggested for it; None if none is near.
+
+    Keys of another axis are not suggested: v_axis is no misspelled u_axis.
+    """
+    axes = _AXES.findall(name)
+    of_same_axes = [other for other in others if not axes or _AXES.findall(other) in ([], axes)]
+    return next(iter(difflib.get_close_matches(name[:100], of_same_axes, 1, _NEAR)), None)
 
 
 def read_bytes(path: str | Path, at_most: int, remedy: str = "name another file") -> bytes:

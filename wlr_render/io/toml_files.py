@@ -1,6 +1,5 @@
 """Reading and writing of TOML and JSON files, key by key, with errors that name file, key and value."""
 
-import difflib
 import itertools
 import json
 import math
@@ -17,13 +16,12 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import write_text
-from wlr_render.io.input_files import LIMITS, as_bad_input, inside_folder, read_text, shown
+from wlr_render.io.input_files import LIMITS, as_bad_input, inside_folder, near_spelling, read_text, shown
 
 _LARGEST = 1e18
 """Largest number in a file: far above every quantity in these units, and its powers do not overflow."""
 _LONGEST_TEXT = 2000
 _KEYS_COMPARED = 1000
-_NEAR_SPELLING = 0.75  # least similarity of a mistyped key, as difflib measures it; 'eye' and 'eye_box' have 0.6
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){50}""")
 """Dotted keys of 50 parts: the time that `tomllib` takes grows with the square of their number."""
 
@@ -54,8 +52,8 @@ class Table:
         self._read.add(key)
         if key not in self._content:
             unread = (k for k in self._content if k not in self._read)
-            close = difflib.get_close_matches(key, itertools.islice(unread, _KEYS_COMPARED), 1, _NEAR_SPELLING)
-            hint = f" (found {shown(close[0])} instead)" if close else ""
+            near = near_spelling(key, itertools.islice(unread, _KEYS_COMPARED))
+            hint = f" (found {shown(near)} instead)" if near else ""
             raise self.fail(f"key '{key}' is missing{hint}; write it.")
         return self._content[key]
 
@@ -225,8 +223,8 @@ class Table:
         for key in self._content:
             if key not in self._read:
                 absent = sorted(self._asked_for - self._content.keys())
-                close = difflib.get_close_matches(key[:100], absent, 1, _NEAR_SPELLING)
-                remedy = f"did you mean '{close[0]}'?" if close else "remove it."
+                near = near_spelling(key, absent)
+                remedy = f"did you mean '{near}'?" if near else "remove it."
                 raise self.fail(f"unknown key {shown(key)}; {remedy}")
 
 
