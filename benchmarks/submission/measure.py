@@ -85,8 +85,7 @@ class Host:
         self.compositor.begin_frame(pose, viewpoints)
         times.append(time.thread_time())
         with self.compositor.context.drawing() if self._in_block else contextlib.nullcontext():
-            for eye, framebuffer in self._drawn.items():
-                self.compositor.submit(framebuffer, eye=eye, stored=_STORED)
+            self.compositor.submit(self._drawn, stored=_STORED)
             times.append(time.thread_time())
             self.compositor.compose(self._screen, pose=late)
         return [*times, time.thread_time()]

@@ -35,7 +35,7 @@ def is_rotation(matrix: FloatArray) -> bool:
 def inverse(b_from_a: FloatArray) -> FloatArray:
     """Return the inverse (..., 4, 4) of rigid transforms."""
     a_from_b_rotation = np.swapaxes(b_from_a[..., :3, :3], -1, -2)
-    return rigid(a_from_b_rotation, -np.einsum("...ij,...j->...i", a_from_b_rotation, b_from_a[..., :3, 3]))
+    return rigid(a_from_b_rotation, -(a_from_b_rotation @ b_from_a[..., :3, 3:])[..., 0])
 
 
 def apply(b_from_a: FloatArray, point_in_a: FloatArray) -> FloatArray:

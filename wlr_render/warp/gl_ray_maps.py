@@ -115,6 +115,11 @@ class GlPlanarSolver:
             self._texture = context.target((terms.shape[2] * terms.shape[3], 3 * warp_grid.rows), 4, "f4")
             self._texture.write(terms)
         self._inputs_of_eye = self._fixed_inputs()
+        models = self._display, self._see_through
+        self._box_centres = np.array([model.eye_box.centre for model in models])
+        self._box_reach = np.array([0.5 * model.eye_box.size + EYE_BOX_MARGIN for model in models])
+        # The viewpoint's height over a plane is the product of a row with (x, y, z, 1).
+        self._heights = np.array([[*-np.array(model.place.slope), 1.0, -model.place.z] for model in models])
 
     def solve(self, viewpoint: FloatArray) -> GpuRayMap:
         """Solve a ray map in the shader; see `RayMapSolver.solve`."""
@@ -137,9 +142,9 @@ class GlPlanarSolver:
         return rows
 
     def _inputs(self, viewpoint: FloatArray) -> FloatArray:
-        models, rows = (self._display, self._see_through), self._inputs_of_eye
-        rows[6, :3], rows[6, 3] = viewpoint, all(each.eye_box.contains(viewpoint, EYE_BOX_MARGIN) for each in models)
-        rows[7, :2] = [model.place.height_of(viewpoint) for model in models]
+        rows = self._inputs_of_eye
+        rows[6, :3], rows[6, 3] = viewpoint, (np.abs(viewpoint - self._box_centres) <= self._box_reach).all()
+        rows[7, :2] = self._heights[:, :3] @ viewpoint + self._heights[:, 3]
         return rows
 
 

@@ -109,11 +109,11 @@ class GlDepthRanges:
                     self._kept, self._targets = self._kept[::-1], self._targets[::-1]
                 return ranges
         self._targets = self._targets[::-1]
-        size = image.inverse_depth.size
-        (tiles,) = self._draw("tiles", self._of_image, _tiled(size), inverse_depths=image.inverse_depth)
-        large_size = _tiled(_tiled(size))
-        (large,) = self._draw("large tiles", self._of_tiles, large_size, large_tiles=image.inverse_depth, tiles=tiles)
-        side = 1 << max(2, (-(-max(_tiled(size)) // 2) - 1).bit_length())
+        count = _tiled(image.inverse_depth.size)
+        (tiles,) = self._draw("tiles", self._of_image, count, inverse_depths=image.inverse_depth)
+        of_tiles = {"large_tiles": image.inverse_depth, "tiles": tiles}
+        (large,) = self._draw("large tiles", self._of_tiles, _tiled(count), **of_tiles)
+        side = 1 << max(2, (-(-max(count) // 2) - 1).bit_length())
         (pyramid,) = self._draw("pyramid", self._of_tiles, (2 * side, side), large_tiles=large, tiles=tiles)
         self._kept = [(image, DepthRanges(tiles, pyramid)), *self._kept[:1]]
         return self._kept[0][1]
