@@ -202,8 +202,9 @@ class Runtime:
 
     def eyes(self, at):
         """Return name, flags and pose of each space of the eyes in VIEW space, as recordings have them."""
-        _, views = xr.locate_views(self.session, xr.ViewLocateInfo(STEREO, at, self.view))
-        found = [(f"{eye}_view", 3, view.pose) for eye, view in zip(models, views, strict=True)]
+        state, views = xr.locate_views(self.session, xr.ViewLocateInfo(STEREO, at, self.view))
+        flags = int(state.view_state_flags)  # the same bits as locationFlags
+        found = [(f"{eye}_view", flags, view.pose) for eye, view in zip(models, views, strict=True)]
         if self.eye_tracking == ANDROID:
             eyes = xr.get_fine_tracking_eyes_info_android(self._tracker, xr.EyesGetInfoANDROID(at, self.view))
             modes = xr.EyeTrackingModeANDROID
@@ -246,6 +247,8 @@ class Runtime:
             turning = wlr.RotatingEye.looking_ahead_from(found[f"{eye}_view"][1][:3, 3])
             space = next((each for each in (f"{eye}_pupil", f"{eye}_gaze", "gaze") if each in found), f"{eye}_view")
             flags, device_from_eye = found[space]
+            if space != f"{eye}_pupil":  # the centre that the eye turns about is known from its view only
+                flags &= found[f"{eye}_view"][0]
             if flags & POSITION_AND_ORIENTATION_VALID != POSITION_AND_ORIENTATION_VALID:
                 samples[eye] = None
             elif space in (f"{eye}_pupil", f"{eye}_view"):

@@ -283,6 +283,7 @@ def test_frames_that_show_nothing_of_the_scene_are_named(options: RenderOptions,
         report = render(behind)
         (warning,) = report.warnings
         assert warning.startswith("right-000000.png shows nothing of the scene")
+        assert "The headset is at (0.00, 0.00, 0.00) m;" in warning
         assert report.record["frames_drawn"] == drawn
 
 
@@ -670,11 +671,33 @@ def test_frames_in_a_gap_of_a_track_are_held_marked_and_counted(options: RenderO
     at_mm = [1e3 * (frame["viewpoint_in_device_m"][0] - centre[0]) for frame in frames]
     np.testing.assert_allclose(at_mm, [0, 0.1, 0.1, 0.1, 0.1, 0.5, 0.6, 0.7], atol=1e-9)
     assert [frame["held"] for frame in frames] == [False] * 2 + [True] * 3 + [False] * 3
+    assert [frame["head_lost"] for frame in frames] == [False] * 3 + [True] * 2 + [False] * 3
     lost = "first at 0.2000 s", "first at 0.3000 s"
     assert [sentence.partition(";")[0] for sentence in report.warnings] == [
         f"{track}: the right pupil was not tracked in 3 of 8 frames, {lost[0]}, in gaps of up to 0.4 s",
         f"{head}: the head was not tracked in 2 of 8 frames, {lost[1]}, in gaps of up to 0.3 s",
     ]
+
+
+def test_a_head_that_its_runtime_loses_is_marked_and_counted(options: RenderOptions, tmp_path: Path) -> None:
+    """Not valid, valid but inferred, and not valid at either end; the frames show where the headset was."""
+    flags = [0, 15, 15, 0, 15, 3, 15, 0, 0]
+    recording = tmp_path / "head.jsonl"
+    lines: list[dict[str, Any]] = [{"format": "wlr-openxr-recording", "version": 1}]
+    for k, each in enumerate(flags):
+        pose = {"orientation": {"x": 0, "y": 0, "z": 0, "w": 1}, "position": {"x": 0, "y": 30, "z": 0}}
+        lines.append({"time": k * 10**8, "space": "view", "base_space": "stage", "locationFlags": each, "pose": pose})
+    recording.write_text("".join(f"{json.dumps(each)}\n" for each in lines), encoding="utf-8")
+    job = replace(options, head=recording, frames_per_second=10.0)
+    warnings = render(job).warnings
+    assert [frame["head_lost"] for frame in metadata(job.out)] == [False, False, True, False, True, False]
+    assert [sentence.partition(";")[0] for sentence in warnings[:-1]] == [
+        f"{recording}: 3 samples before 0.1000 s or after 0.6000 s are not valid",
+        f"{recording}: the head was not tracked in 1 of 6 frames, first at 0.3000 s, in gaps of up to 0.2 s",
+        f"{recording}: the runtime did not track the head in 1 of 6 frames, first at 0.5000 s",
+    ]
+    assert "nothing of the scene" in warnings[-1]
+    assert "The headset is at (0.00, 30.00, 0.00) m;" in warnings[-1]
 
 
 def test_pupils_that_are_all_outside_the_eye_box_are_refused(options: RenderOptions, tmp_path: Path) -> None:

@@ -188,3 +188,15 @@ def test_invalid_poses_make_gaps(tmp_path: Path) -> None:
     moments = np.array([0.015, 0.025, 0.035, 0.045])
     np.testing.assert_allclose(read_head_trajectory(path).gaps_at(moments).length_s, [0, 0.02, 0.02, 0], atol=1e-12)
     assert not read_eye_trajectory(path).gaps_at("left", moments).length_s.any()
+
+
+@pytest.mark.parametrize(("tracked", "expected"), [(15, [0, 1, 1, 1, 1, 0]), (7, [0] * 6)])
+def test_valid_poses_that_are_not_tracked_are_inferred(tmp_path: Path, tracked: int, expected: list[int]) -> None:
+    """They are kept. A runtime that never sets the bits, as for a simulated headset, tells nothing by them."""
+    flags = [tracked, tracked, 3, 7, tracked, tracked]
+    path = recorded(tmp_path, *(head(k * 10_000_000, (0.001 * k, 0, 0), flags=each) for k, each in enumerate(flags)))
+    found = read_head_trajectory(path)
+    moments = np.array([0.01, 0.015, 0.02, 0.03, 0.035, 0.04])
+    np.testing.assert_array_equal(found.is_inferred_at(moments), expected)
+    np.testing.assert_allclose(found.at(moments)[:, 0, 3], 0.1 * moments, atol=1e-12)
+    assert not found.gaps_at(moments).length_s.any()

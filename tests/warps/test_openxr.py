@@ -103,6 +103,8 @@ def test_what_the_runtime_locates_is_recorded_and_read_as_trajectories(swaying: 
     printed, _ = run(swaying, tmp_path)
     recording = tmp_path / "recording.jsonl"
     head, eyes = read_head_trajectory(recording), read_eye_trajectory(recording)
+    flags = {each.get("locationFlags") for each in map(json.loads, recording.read_text(encoding="utf-8").splitlines())}
+    assert flags == {None, 7}  # Monado tracks no position of this headset; the header has no flags
     moved_mm = 1e3 * np.ptp(head.position_in_world, axis=0).max()
     assert len(head.time_s) == 20
     assert moved_mm == pytest.approx(float(present(re.search(r"the head moved ([\d.]+) mm", printed))[1]), abs=0.2)

@@ -96,14 +96,18 @@ def is_blank(colour: NDArray[np.uint8]) -> bool:
     return bool((flat[3:] == flat[:-3]).all())  # 30 times as fast as comparing with one pixel
 
 
-def blank_warnings(names: Sequence[str], scene: str) -> list[str]:
-    """Return a sentence if there are frames that show nothing of a scene, given their names."""
+def blank_warnings(names: Sequence[str], scene: str, device: Sequence[float] = (0, 0, 0)) -> list[str]:
+    """Return a sentence if there are frames that show nothing of a scene, given their names.
+
+    `device` (3,) is the place of the headset in the first one, in the world.
+    """
     if not names:
         return []
     which = names[0] if len(names) == 1 else f"{len(names)} frames, {names[0]} the first,"
     return [
         f"{which} {'shows' if len(names) == 1 else 'show'} nothing of the scene '{scene}', or one even surface: every "
-        "pixel has the same colour. Place the scene within the field of view, in metres, with light on it."
+        f"pixel has the same colour. The headset is at ({', '.join(f'{each:.2f}' for each in device)}) m; place the "
+        "scene within its field of view, in metres, with light on it."
     ]
 
 

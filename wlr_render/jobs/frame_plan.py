@@ -16,7 +16,7 @@ from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
-from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
+from wlr_render.tracking.trajectory import EyeTrack, EyeTrajectory, HeadTrajectory
 
 METADATA = "metadata.jsonl"
 """File with a row for each frame; Hugging Face's `datasets` expects this name."""
@@ -33,11 +33,11 @@ class Motion:
     frames_per_second: float
     frame_limit: int | None = None
 
-    def sample_times(self, eyes: Collection[str]) -> list[tuple[str, FloatArray]]:
-        """Return file name and sample times (n,) of the head, and of each eye that is drawn."""
+    def tracks(self, eyes: Collection[str]) -> list[tuple[str, HeadTrajectory | EyeTrack]]:
+        """Return file name and track of the head, and of each eye that is drawn."""
         tracks = self.eyes.tracks.items() if self.eyes else ()
-        drawn = [(self.eyes.name, track.time_s) for eye, track in tracks if self.eyes and eye in eyes]
-        return [(self.head.name, self.head.time_s), *drawn] if self.head else drawn
+        drawn = [(self.eyes.name, track) for eye, track in tracks if self.eyes and eye in eyes]
+        return [(self.head.name, self.head), *drawn] if self.head else [*drawn]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,8 @@ class PlannedFrame:
     """Length of the gap in the eye track that contains this frame, seconds; 0 if none."""
     head_gap_s: float = 0.0
     """Length of the gap between samples of the head in which it lies; 0 in none."""
+    head_inferred: bool = False
+    """Whether the runtime inferred the head's pose while it did not track the head."""
 
     @property
     def stem(self) -> str:
@@ -75,6 +77,7 @@ class PlannedFrame:
             "viewpoint_in_device_m": self.viewpoint.tolist(),
             "world_from_device": self.world_from_device.tolist(),
             "held": bool(self.held),
+            "head_lost": bool(self.head_gap_s or self.head_inferred),
         }
 
 
@@ -94,13 +97,14 @@ def planned_frames(motion: Motion, mappings: dict[str, Eye]) -> list[PlannedFram
     times, head = _times(motion, mappings), motion.head
     pupils = {eye: _pupils(motion.eyes, mappings[eye], times) for eye in mappings}
     head_gap_s = head.gaps_at(times).length_s if head else np.zeros(len(times))
+    inferred = head.is_inferred_at(times) if head else np.zeros(len(times), bool)
     plan = []
     for index, time_s in enumerate(times):
         pose = head.at(time_s) if head else np.eye(4)
         for eye in mappings:
             viewpoint, held, eye_gap_s = pupils[eye][index]
-            gaps_s = eye_gap_s, float(head_gap_s[index])
-            plan.append(PlannedFrame(index, float(time_s), eye, viewpoint, pose, held, *gaps_s))
+            losses = eye_gap_s, float(head_gap_s[index]), bool(inferred[index])
+            plan.append(PlannedFrame(index, float(time_s), eye, viewpoint, pose, held, *losses))
     return plan
 
 
@@ -128,13 +132,13 @@ def _pupils(eyes: EyeTrajectory | None, mappings: Eye, times: FloatArray) -> lis
 
 
 def _times(motion: Motion, eyes: Collection[str]) -> FloatArray:
-    samples = motion.sample_times(eyes)
-    spans = [(time_s[0], time_s[-1]) for _, time_s in samples]
+    tracks = motion.tracks(eyes)
+    spans = [(track.time_s[0], track.time_s[-1]) for _, track in tracks]
     if not spans:
         return np.zeros(1)
     start, end = max(first for first, _ in spans), min(last for _, last in spans)
     if end < start:
-        files = " and ".join(dict.fromkeys(file for file, _ in samples))
+        files = " and ".join(dict.fromkeys(file for file, _ in tracks))
         raise BadInputError(f"The tracks of {files} do not overlap in time; record them together.")
     count = (end - start) * motion.frames_per_second + 1
     if min(count, motion.frame_limit or count) > limits.FRAMES:
@@ -148,15 +152,24 @@ def _times(motion: Motion, eyes: Collection[str]) -> FloatArray:
 
 
 def gap_warnings(motion: Motion, eyes: Collection[str]) -> list[str]:
-    """Return a sentence for each file with a gap between samples longer than `LONGEST_GAP_S`."""
+    """Return a sentence for each file with gaps above `LONGEST_GAP_S`, or without valid samples at either end."""
     gaps: dict[str, float] = {}
-    for file, time_s in motion.sample_times(eyes):
-        gaps[file] = max(gaps.get(file, 0.0), float(np.diff(time_s).max()))
-    return [
+    cut: list[str] = []
+    for file, track in motion.tracks(eyes):
+        gaps[file] = max(gaps.get(file, 0.0), float(np.diff(track.time_s).max()))
+        first, last = track.time_s[[0, -1]]
+        outside = int(((track.invalid_s < first) | (track.invalid_s > last)).sum())
+        if outside:
+            cut.append(
+                f"{file}: {outside} samples before {first:.4f} s or after {last:.4f} s are not valid; no frame lies "
+                "there."
+            )
+    long = [
         f"{file}: neighbouring samples are up to {gap:.3g} s apart; are the times in seconds?"
         for file, gap in gaps.items()
         if gap > LONGEST_GAP_S
     ]
+    return [*long, *dict.fromkeys(cut)]
 
 
 def column_warnings(motion: Motion) -> list[str]:
@@ -191,7 +204,14 @@ def held_warnings(motion: Motion, plan: list[PlannedFrame]) -> list[str]:
     if lost:
         warnings.append(
             f"{motion.head and motion.head.name}: the head was not tracked in {_share(lost, frames)}, in gaps of up to "
-            f"{max(planned.head_gap_s for planned in lost):.3g} s; there its pose is interpolated."
+            f"{max(planned.head_gap_s for planned in lost):.3g} s; there its pose is interpolated ('head_lost' in "
+            f"{METADATA})."
+        )
+    inferred = [planned for planned in frames if planned.head_inferred]
+    if inferred:
+        warnings.append(
+            f"{motion.head and motion.head.name}: the runtime did not track the head in {_share(inferred, frames)}; "
+            f"there its pose is the one that the runtime inferred ('head_lost' in {METADATA})."
         )
     return warnings
 

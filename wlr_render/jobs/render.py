@@ -85,6 +85,8 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     videos = _videos(folder, plan, options) if options.video else []
     packed = pack_frames(folder, rows, opened.sources(options), options, progress) if options.pack else []
     first = reversed([*zip(plan, pictures, strict=True)])
+    blank = [row for row in rows if row.get("blank")]
+    places = [[line[3] for line in row["world_from_device"][:3]] for row in blank]
     warnings = [
         *opened.scene.warnings,
         *effect_warnings(options.headset),
@@ -93,7 +95,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
         *column_warnings(motion),
         *held_warnings(motion, plan),
         *_redrawn_warnings(folder, changed),
-        *blank_warnings([row["file_name"] for row in rows if row.get("blank")], opened.scene.name),
+        *blank_warnings([row["file_name"] for row in blank], opened.scene.name, *places[:1]),
         *saturation_warnings(opened.scene, map(read_png, {each.eye: path for each, path in first}.values())),
     ]
     report = _report(options, plan, len(missing), rows, [folder / LEDGER, *joined, *videos, *packed])

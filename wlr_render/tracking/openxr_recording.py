@@ -10,9 +10,10 @@ with the names of OpenXR's structures; the first line is a header:
 `time` is XrTime in nanoseconds. The poses of `view` are the head's, in `local`, `stage` or `local_floor`. Relative to
 `view` are `left_view` and `right_view` (views of xrLocateViews), `gaze` (XR_EXT_eye_gaze_interaction), `left_gaze` and
 `right_gaze` (XR_FB_eye_tracking_social), `left_pupil` and `right_pupil` (XR_ANDROID_eye_tracking). Lines of other
-spaces are skipped. Lines without valid position and orientation mark a gap. OpenXR and this package use the same axes
-and units, so that only the pose of VIEW space in the device frame is needed: `device_from_view` of the header, 4 rows
-of 4, or the identity.
+spaces are skipped. Lines without valid position and orientation mark a gap. Poses of the head that are valid and not
+tracked are the runtime's inference, unless no line of the head is tracked: some runtimes never set these bits. OpenXR
+and this package use the same axes and units, so that only the pose of VIEW space in the device frame is needed:
+`device_from_view` of the header, 4 rows of 4, or the identity.
 """
 
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -39,6 +41,7 @@ _KIND = "an OpenXR recording"
 _WORLD_SPACES = ("local", "stage", "local_floor")
 _SPACES = ("view", "gaze", *(f"{eye}_{space}" for eye in EYES for space in ("view", "gaze", "pupil")))
 _VALID = 3  # XR_SPACE_LOCATION_ORIENTATION_VALID_BIT | XR_SPACE_LOCATION_POSITION_VALID_BIT
+_TRACKED = 12  # XR_SPACE_LOCATION_ORIENTATION_TRACKED_BIT | XR_SPACE_LOCATION_POSITION_TRACKED_BIT
 _FIXATION_M = 1.0
 """Assumed distance of the point that both eyes fixate, along the gaze."""
 _HEAD_FAR_M, _EYE_FAR_M = 1000.0, 0.5
@@ -48,12 +51,14 @@ _HEAD_FAR_M, _EYE_FAR_M = 1000.0, 0.5
 class _Located:
     """Located poses of a space: times (n,), positions (n, 3) and quaternions xyzw (n, 4) in its base space.
 
-    `invalid_s` (m,) are the times at which it was not located.
+    `is_tracked` (n,) is False where the runtime inferred the pose. `invalid_s` (m,) are the times at which the space
+    was not located.
     """
 
     time_s: FloatArray
     position: FloatArray
     xyzw: FloatArray
+    is_tracked: NDArray[np.bool_]
     invalid_s: FloatArray
 
     def poses(self) -> FloatArray:
@@ -77,7 +82,9 @@ def read_openxr_head(path: str | Path) -> HeadTrajectory:
     world_from_device = head.poses() @ transforms.inverse(device_from_view)
     require_plausible_motion(str(path), head.time_s, head.position, _HEAD_FAR_M)
     xyzw = scipy.spatial.transform.Rotation.from_matrix(world_from_device[:, :3, :3]).as_quat()
-    return HeadTrajectory(head.time_s, world_from_device[:, :3, 3], xyzw, str(path), head.invalid_s)
+    inferred_s = head.time_s[head.is_tracked.any() & ~head.is_tracked]
+    place = world_from_device[:, :3, 3]
+    return HeadTrajectory(head.time_s, place, xyzw, str(path), head.invalid_s, inferred_s=inferred_s)
 
 
 def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
@@ -153,8 +160,9 @@ def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
             bases.add(base)
         if len(bases) > 1:
             raise row.fail(f"'base_space' changes from {' to '.join(sorted(bases))}; record the head in one space.")
-        if row.whole("locationFlags", most=2**32) & _VALID == _VALID:
-            entries_of.setdefault(space, []).append((row, _numbers(row)))
+        flags = row.whole("locationFlags", most=2**32)
+        if flags & _VALID == _VALID:
+            entries_of.setdefault(space, []).append((row, [*_numbers(row), flags & _TRACKED == _TRACKED]))
         else:
             invalid_s.setdefault(space, []).append(row.number("time") / 1e9)
     located = {space: _located(entries, invalid_s.get(space, [])) for space, entries in entries_of.items()}
@@ -179,7 +187,7 @@ def _located(entries: Sequence[tuple[Table, list[float]]], invalid_s: Sequence[f
         raise entries[int(late[0]) + 1][0].fail(
             "'time' does not come after the previous time of the same space; sort the lines, drop duplicates."
         )
-    return _Located(content[:, 0], content[:, 1:4], content[:, 4:], np.array(invalid_s))
+    return _Located(content[:, 0], content[:, 1:4], content[:, 4:8], content[:, 8] == 1, np.array(invalid_s))
 
 
 def _device_from_view(header: Table) -> FloatArray:

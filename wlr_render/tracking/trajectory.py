@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
@@ -47,6 +47,7 @@ class HeadTrajectory(_Sampled):
         name: name for messages, e.g. the file.
         invalid_s: (m,) times at which the recording has no valid sample.
         unread: columns of the file that are not read.
+        inferred_s: (k,) times of samples that the runtime inferred while it did not track the head.
     """
 
     time_s: FloatArray
@@ -55,9 +56,16 @@ class HeadTrajectory(_Sampled):
     name: str = "head trajectory"
     invalid_s: FloatArray = field(default_factory=_none)
     unread: tuple[str, ...] = ()
+    inferred_s: FloatArray = field(default_factory=_none)
 
     def __post_init__(self) -> None:
         require_ascending(self.time_s, self.name)
+
+    def is_inferred_at(self, time_s: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether the poses at times (...) depend on an inferred sample."""
+        between, inferred = bracket(self.time_s, time_s, self.name), np.isin(self.time_s, self.inferred_s)
+        before, after = inferred[between.before], inferred[between.before + 1]
+        return np.asarray((before & (between.fraction < 1)) | (after & (between.fraction > 0)))
 
     def at(self, time_s: ArrayLike) -> FloatArray:
         """Return the poses `world_from_device` (..., 4, 4) at times (...): linear in position, slerp in rotation.
@@ -82,6 +90,10 @@ class EyeTrack(Protocol):
     @property
     def time_s(self) -> FloatArray:
         """(n,) ascending sample times."""
+
+    @property
+    def invalid_s(self) -> FloatArray:
+        """(m,) times at which the recording has no valid sample."""
 
     def gaps_at(self, time_s: ArrayLike) -> Gaps:
         """Return the gaps between the samples at times (...)."""
