@@ -61,6 +61,7 @@ pictures = {
     eye: ctx.framebuffer([ctx.texture(camera.size_px, 4)], ctx.depth_texture(camera.size_px))
     for eye, camera in compositor.begin_frame(np.eye(4), {e: m.eye_box.centre for e, m in models.items()}).items()
 }
+compositor.prepare()  # else the first frames compile shaders, and the recording has gaps there
 ctx.enable(moderngl.DEPTH_TEST)
 
 
