@@ -196,7 +196,7 @@ def test_valid_poses_that_are_not_tracked_are_inferred(tmp_path: Path, tracked: 
     flags = [tracked, tracked, 3, 7, tracked, tracked]
     path = recorded(tmp_path, *(head(k * 10_000_000, (0.001 * k, 0, 0), flags=each) for k, each in enumerate(flags)))
     found = read_head_trajectory(path)
-    moments = np.array([0.01, 0.015, 0.02, 0.03, 0.035, 0.04])
+    moments = np.array([0.01 + 1e-9, 0.015, 0.02, 0.03, 0.035, 0.04 - 1e-9])  # nearly at samples that are tracked
     np.testing.assert_array_equal(found.is_inferred_at(moments), expected)
     np.testing.assert_allclose(found.at(moments)[:, 0, 3], 0.1 * moments, atol=1e-12)
     assert not found.gaps_at(moments).length_s.any()

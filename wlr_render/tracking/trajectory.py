@@ -62,10 +62,10 @@ class HeadTrajectory(_Sampled):
         require_ascending(self.time_s, self.name)
 
     def is_inferred_at(self, time_s: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether the poses at times (...) depend on an inferred sample."""
+        """Return whether an inferred sample has more than 0.1 % of the weight in the poses at times (...)."""
         between, inferred = bracket(self.time_s, time_s, self.name), np.isin(self.time_s, self.inferred_s)
         before, after = inferred[between.before], inferred[between.before + 1]
-        return np.asarray((before & (between.fraction < 1)) | (after & (between.fraction > 0)))
+        return np.asarray((before & (between.fraction < 0.999)) | (after & (between.fraction > 0.001)))
 
     def at(self, time_s: ArrayLike) -> FloatArray:
         """Return the poses `world_from_device` (..., 4, 4) at times (...): linear in position, slerp in rotation.
