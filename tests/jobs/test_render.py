@@ -674,8 +674,8 @@ def test_frames_in_a_gap_of_a_track_are_held_marked_and_counted(options: RenderO
     assert [frame["head_lost"] for frame in frames] == [False] * 3 + [True] * 2 + [False] * 3
     lost = "first at 0.2000 s", "first at 0.3000 s"
     assert [sentence.partition(";")[0] for sentence in report.warnings] == [
-        f"{track}: the right pupil was not tracked in 3 of 8 frames, {lost[0]}, in gaps of up to 0.4 s",
-        f"{head}: the head was not tracked in 2 of 8 frames, {lost[1]}, in gaps of up to 0.3 s",
+        f"{track}: the right pupil was not tracked or recorded in 3 of 8 frames, {lost[0]}, in gaps of up to 0.4 s",
+        f"{head}: the head was not tracked or recorded in 2 of 8 frames, {lost[1]}, in gaps of up to 0.3 s",
     ]
 
 
@@ -691,9 +691,10 @@ def test_a_head_that_its_runtime_loses_is_marked_and_counted(options: RenderOpti
     job = replace(options, head=recording, frames_per_second=10.0)
     warnings = render(job).warnings
     assert [frame["head_lost"] for frame in metadata(job.out)] == [False, False, True, False, True, False]
+    lost = "first at 0.3000 s"
     assert [sentence.partition(";")[0] for sentence in warnings[:-1]] == [
         f"{recording}: 3 samples before 0.1000 s or after 0.6000 s are not valid",
-        f"{recording}: the head was not tracked in 1 of 6 frames, first at 0.3000 s, in gaps of up to 0.2 s",
+        f"{recording}: the head was not tracked or recorded in 1 of 6 frames, {lost}, in gaps of up to 0.2 s",
         f"{recording}: the runtime did not track the head in 1 of 6 frames, first at 0.5000 s",
     ]
     assert "nothing of the scene" in warnings[-1]

@@ -118,6 +118,7 @@ def test_pupils_are_taken_as_they_are(tmp_path: Path) -> None:
         place = (0.033, 0.001 * k, -0.012)
         lines.append(line(10_000_000 * k, "right_pupil", "view", place, turn, 0 if k == 3 else 3))
     found = read_eye_trajectory(recorded(tmp_path, *lines, device_from_view=DEVICE_FROM_VIEW.tolist()))
+    assert not found.unread
     expected = [transforms.apply(DEVICE_FROM_VIEW, np.array([0.033, 0.001 * k, -0.012])) for k in (0, 1.5, 5)]
     np.testing.assert_allclose(found.viewpoint_at("right", [0.0, 0.015, 0.05]), expected, atol=1e-12)
     np.testing.assert_allclose(found.gaps_at("right", np.array([0.015, 0.025])).length_s, [0, 0.02], atol=1e-12)
@@ -188,6 +189,13 @@ def test_invalid_poses_make_gaps(tmp_path: Path) -> None:
     moments = np.array([0.015, 0.025, 0.035, 0.045])
     np.testing.assert_allclose(read_head_trajectory(path).gaps_at(moments).length_s, [0, 0.02, 0.02, 0], atol=1e-12)
     assert not read_eye_trajectory(path).gaps_at("left", moments).length_s.any()
+
+
+def test_a_gaze_that_is_never_valid_is_named(tmp_path: Path) -> None:
+    gazes = [line(10**9 * k, "gaze", "view", flags=0) for k in (0, 1)]
+    found = read_eye_trajectory(recorded(tmp_path, *eyes(0), *eyes(10**9), *gazes))
+    assert found.unread == ("gaze (no valid pose)",)
+    np.testing.assert_allclose(found.viewpoint_at("left", 0.5), [-0.0315, 0, 0], atol=1e-12)  # its view's place
 
 
 @pytest.mark.parametrize(("tracked", "expected"), [(15, [0, 1, 1, 1, 1, 0]), (7, [0] * 6)])

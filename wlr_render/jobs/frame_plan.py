@@ -190,7 +190,7 @@ def held_warnings(motion: Motion, plan: list[PlannedFrame]) -> list[str]:
         outside = [planned for planned in own if planned.held and not planned.eye_gap_s]
         if lost:
             warnings.append(
-                f"{track}: the {eye} pupil was not tracked in {_share(lost, own)}, in gaps of up to "
+                f"{track}: the {eye} pupil was not tracked or recorded in {_share(lost, own)}, in gaps of up to "
                 f"{max(planned.eye_gap_s for planned in lost):.3g} s; there it is held at the last sample ('held' in "
                 f"{METADATA})."
             )
@@ -203,8 +203,8 @@ def held_warnings(motion: Motion, plan: list[PlannedFrame]) -> list[str]:
     lost = [planned for planned in frames if planned.head_gap_s]
     if lost:
         warnings.append(
-            f"{motion.head and motion.head.name}: the head was not tracked in {_share(lost, frames)}, in gaps of up to "
-            f"{max(planned.head_gap_s for planned in lost):.3g} s; there its pose is interpolated ('head_lost' in "
+            f"{motion.head and motion.head.name}: the head was not tracked or recorded in {_share(lost, frames)}, "
+            f"in gaps of up to {max(planned.head_gap_s for planned in lost):.3g} s; there its pose is interpolated ('head_lost' in "
             f"{METADATA})."
         )
     inferred = [planned for planned in frames if planned.head_inferred]

@@ -73,7 +73,7 @@ def read_openxr_head(path: str | Path) -> HeadTrajectory:
         BadInputError: unreadable file, a line that is not a location, no pose of the head, base spaces that change,
             times that do not ascend, times or positions of another unit.
     """
-    device_from_view, located = _read(path)
+    device_from_view, located, _ = _read(path)
     if "view" not in located:
         raise BadInputError(
             f"{path}: has no valid pose of 'view', the head; record VIEW space in LOCAL or STAGE space."
@@ -97,7 +97,7 @@ def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
     Raises:
         BadInputError: positions of the views and pupils are missing; see also `read_openxr_head`.
     """
-    device_from_view, located = _read(path)
+    device_from_view, located, never = _read(path)
     tracks = {eye: _eye_track(path, eye, located, device_from_view) for eye in EYES}
     tracked = {eye: track for eye, track in tracks.items() if track is not None}
     if not tracked:
@@ -105,7 +105,7 @@ def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
             f"{path}: has no pose of 'left_view' or 'right_view', the positions of the eyes; record "
             "xrLocateViews in VIEW space as well."
         )
-    return EyeTrajectory(tracked, str(path))
+    return EyeTrajectory(tracked, str(path), tuple(f"{space} (no valid pose)" for space in never))
 
 
 def _eye_track(
@@ -134,8 +134,8 @@ def _eye_track(
     return GazeTrack(gaze.time_s, gaze_dir, turning, name, gaze.invalid_s)
 
 
-def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
-    """Read `device_from_view` and the poses of each space."""
+def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located], list[str]]:
+    """Read `device_from_view`, the poses of each space, and the names of the spaces without any valid pose."""
     lines = read_text(path, _KIND, LIMITS.table_bytes).splitlines()
     if len(lines) > LIMITS.rows:
         raise BadInputError(f"{path}: has {len(lines)} lines, more than {LIMITS.rows}; cut it into parts.")
@@ -166,7 +166,7 @@ def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
         else:
             invalid_s.setdefault(space, []).append(row.number("time") / 1e9)
     located = {space: _located(entries, invalid_s.get(space, [])) for space, entries in entries_of.items()}
-    return _device_from_view(header), located
+    return _device_from_view(header), located, [space for space in invalid_s if space not in entries_of]
 
 
 def _numbers(row: Table) -> list[float]:
