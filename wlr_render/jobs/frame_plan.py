@@ -204,8 +204,8 @@ def held_warnings(motion: Motion, plan: list[PlannedFrame]) -> list[str]:
     if lost:
         warnings.append(
             f"{motion.head and motion.head.name}: the head was not tracked or recorded in {_share(lost, frames)}, "
-            f"in gaps of up to {max(planned.head_gap_s for planned in lost):.3g} s; there its pose is interpolated ('head_lost' in "
-            f"{METADATA})."
+            f"in gaps of up to {max(planned.head_gap_s for planned in lost):.3g} s; there its pose is interpolated "
+            f"('head_lost' in {METADATA})."
         )
     inferred = [planned for planned in frames if planned.head_inferred]
     if inferred:
