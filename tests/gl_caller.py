@@ -61,8 +61,8 @@ class Caller:
             [(self.ctx.buffer(np.array([-1, -1, 3, -1, -1, 3], np.float32)), "2f4", "at")],
             self.ctx.buffer(np.array([0, 1, 2], np.int32)),
         )
-        self.textures = [self.ctx.texture((2, 2), 4, bytes(range(k, k + 16))) for k in range(12)]
-        self.samplers = [self.ctx.sampler(repeat_x=False) for _ in range(12)]
+        self.textures = [self.ctx.texture((2, 2), 4, bytes(range(k, k + 16))) for k in range(32)]
+        self.samplers = [self.ctx.sampler(repeat_x=False) for _ in range(32)]
         self.framebuffer = self.ctx.framebuffer(
             [self.ctx.texture((8, 8), 4) for _ in range(2)], self.ctx.depth_renderbuffer((8, 8))
         )
@@ -122,11 +122,11 @@ class Caller:
         for name, enum in READ_PER_BUFFER.items():
             state[name] = [self._get("glGetIntegeri_v", [enum, index], ctypes.c_int) for index in range(8)]
         active = int(state["active unit"][0])
-        for unit in range(12):
+        for unit in range(32):
             self.gl("glActiveTexture", 0x84C0 + unit)
             state[f"unit {unit}"] = [self._get("glGetIntegerv", [enum], ctypes.c_int) for enum in (0x8069, 0x8919)]
         self.gl("glActiveTexture", active)
-        for unit in range(3):
+        for unit in range(6):
             parts = [
                 self._get("glGetIntegeri_v", [enum, unit], ctypes.c_int) for enum in (*range(0x8F3A, 0x8F3F), 0x906E)
             ]

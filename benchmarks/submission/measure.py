@@ -62,7 +62,7 @@ class Host:
         self._caller = None if way in ("own", "computed") else moderngl.create_context(**settings)
         self._own = gl.open_context("egl") if self._caller is None else None
         if self._own is not None and way == "computed":
-            self._own.computes = True
+            self._own.computes, self._own.dispatches.eyes = True, 2
         host_state: Any = "clean" if way == "clean" else "kept"
         self.compositor = Compositor(models, size, context=self._own or self._caller, host_state=host_state)
         self._models, self._in_block = models, way == "block"

@@ -127,7 +127,5 @@ def test_a_computed_pass_writes_outputs_of_every_type(
     monkeypatch.setattr(atomic_files, "resource", lambda folder, name: tmp_path / name)
     with gl_context.drawing():
         target = gl_context.target((3, 2), len(texel), dtype)
-        gl_context.dispatches.add(
-            Dispatch(gl_context.compute_program(shader.name), gl_context.dispatches.eyes, [target], {}, {})
-        )
+        gl_context.dispatches.add(Dispatch(gl_context.compute_program(shader.name), [target], {}, {}))
         assert (gl.read(target, dtype).reshape(6, -1) == texel).all()

@@ -19,7 +19,6 @@ from warps.test_insets import inset_of
 from benchmarks.scene_source import SceneSource
 from wlr_render.geometry import transforms
 from wlr_render.gl.context import GlContext
-from wlr_render.gl.dispatches import Dispatches
 from wlr_render.warp.compositor import Compositor
 from wlr_render.warp.panel_light import PanelLight
 from wlr_render.warp.stored_picture import StoredColour
@@ -158,23 +157,39 @@ def test_a_program_finds_its_images_as_they_were(caller: Caller, compositor: Mak
     assert_same(caller.state(), before)
 
 
+@pytest.fixture
+def for_two_eyes(gl_context: GlContext) -> Iterator[GlContext]:
+    """The context of the test run, with compute shaders for two eyes as on a GPU."""
+    usual = gl_context.computes, gl_context.dispatches.eyes
+    gl_context.computes, gl_context.dispatches.eyes = True, 2
+    yield gl_context
+    gl_context.computes, gl_context.dispatches.eyes = usual
+
+
+def both_eyes(compositor: Make, channels: int = 1) -> Compositor:
+    """A compositor of two eyes, of which the pictures have different sizes, with the pictures of a frame."""
+    left, right = planar("left", "birdbath28"), planar()
+    made: Compositor = compositor({"left": [left] * channels, "right": [right] * channels}, resolution=0.8)
+    assert made.plan("left").camera.size_px != made.plan("right").camera.size_px
+    viewpoints = {"left": viewpoint(left), "right": viewpoint(right)}
+    draw(made, SceneSource(made, scene(wall=False)), HEAD, viewpoints)
+    return made
+
+
 @pytest.mark.parametrize(
-    ("channels", "prepare", "served"),
+    ("channels", "prepare", "at_once"),
     [(1, None, 2), (1, with_overlay, 2), (1, None, 1), pytest.param(3, None, 2, marks=pytest.mark.slow)],
     ids=["plain", "with an overlay", "few samplers", "three colours"],
 )
 def test_one_dispatch_for_both_eyes_shows_what_one_for_each_shows(
     compositor: Make,
-    gl_context: GlContext,
+    for_two_eyes: GlContext,
     monkeypatch: pytest.MonkeyPatch,
     channels: int,
     prepare: Callable[[Compositor], None] | None,
-    served: int,
+    at_once: int,
 ) -> None:
     """In the first frame both eyes' shaders run; in the second the right eye keeps picture and viewpoint."""
-    serve = Dispatches.serve
-    monkeypatch.setattr(Dispatches, "serve", lambda self, eyes: serve(self, min(served, eyes)))
-    left, right = planar("left", "birdbath28"), planar()
     dispatched: list[tuple[int, ...]] = []
     run = moderngl.ComputeShader.run
 
@@ -183,25 +198,41 @@ def test_one_dispatch_for_both_eyes_shows_what_one_for_each_shows(
         run(shader, *groups)
 
     monkeypatch.setattr(moderngl.ComputeShader, "run", counted)
-    usual, gl_context.computes = gl_context.computes, True
-    try:
-        made = compositor({"left": [left] * channels, "right": [right] * channels}, resolution=0.8)
-        assert made.plan("left").camera.size_px != made.plan("right").camera.size_px
-        source = SceneSource(made, scene(wall=False))
-        draw(made, source, HEAD, {"left": viewpoint(left), "right": viewpoint(right)})
-        if prepare is not None:
-            prepare(made)
-        for unit, eyes_at_once in (((), [2] * (channels + 5)), ((0.1, 0.2, 0.3), [1] * channels + [2] * 2)):
-            given: Any = {"pose": HEAD, "pose_at_last_row": MOVED, "viewpoint": {"left": viewpoint(left, *unit)}}
-            dispatched.clear()
-            frame = made.compose(**given, with_source=True)
-            assert served == 1 or [eyes for _, _, eyes in dispatched] == eyes_at_once
-            assert sum(eyes for _, _, eyes in dispatched) == sum(eyes_at_once)
-            together = [(frame.read(eye), frame.status(eye), frame.source(eye)) for eye in made.eyes]
-            for eye, shown in zip(made.eyes, together, strict=True):
-                alone = made.compose(**given, eyes=[eye], with_source=True)
-                for one, other in zip(shown, (alone.read(eye), alone.status(eye), alone.source(eye)), strict=True):
-                    np.testing.assert_array_equal(one, other)
-                assert shown[0].std() > 10
-    finally:
-        gl_context.computes = usual
+    for_two_eyes.dispatches.eyes = at_once
+    made = both_eyes(compositor, channels)
+    if prepare is not None:
+        prepare(made)
+    for unit, eyes_of_each in (((), [2] * (channels + 5)), ((0.1, 0.2, 0.3), [1] * channels + [2] * 2)):
+        moved = viewpoint(planar("left", "birdbath28"), *unit)
+        given: Any = {"pose": HEAD, "pose_at_last_row": MOVED, "viewpoint": {"left": moved}, "with_source": True}
+        dispatched.clear()
+        frame = made.compose(**given)
+        assert at_once == 1 or [eyes for _, _, eyes in dispatched] == eyes_of_each
+        assert sum(eyes for _, _, eyes in dispatched) == sum(eyes_of_each)
+        together = [(frame.read(eye), frame.status(eye), frame.source(eye)) for eye in made.eyes]
+        for eye, shown in zip(made.eyes, together, strict=True):
+            alone = made.compose(**given, eyes=[eye])
+            for one, other in zip(shown, (alone.read(eye), alone.status(eye), alone.source(eye)), strict=True):
+                np.testing.assert_array_equal(one, other)
+            assert shown[0].std() > 10
+
+
+@pytest.mark.parametrize("interrupted", [0, 3])
+def test_the_frame_after_an_interrupted_one_is_right(
+    compositor: Make, for_two_eyes: GlContext, monkeypatch: pytest.MonkeyPatch, interrupted: int
+) -> None:
+    def stopped(shader: moderngl.ComputeShader, *groups: int) -> None:
+        remaining.pop()
+        run(shader, *groups)
+
+    run, remaining = moderngl.ComputeShader.run, [0] * interrupted
+    expected = both_eyes(compositor).compose(pose=MOVED)
+    made = both_eyes(compositor)
+    with monkeypatch.context() as patch:
+        patch.setattr(moderngl.ComputeShader, "run", stopped)
+        with pytest.raises(IndexError):
+            made.compose(pose=MOVED)
+    shown = made.compose(pose=MOVED)
+    for eye in made.eyes:
+        np.testing.assert_array_equal(shown.read(eye), expected.read(eye))
+        assert shown.read(eye).std() > 10

@@ -223,9 +223,9 @@ def test_the_current_context_takes_its_own_programs_objects_and_no_others(
     with elsewhere:
         foreign = elsewhere.texture(camera.size_px, 4)
     make_current(caller.ctx)
-    before = caller.state()
     grey, near = (np.full((height, width, n), value, kind) for n, value, kind in ((4, 128, "u1"), (1, 1, "f4")))
     colour, depth = caller.ctx.texture(camera.size_px, 4, grey), caller.ctx.texture(camera.size_px, 1, near, dtype="f4")
+    before = caller.state()
     with pytest.raises(BadInputError, match="belongs to another ModernGL context"):
         made.submit(foreign, depth)
     made.submit(colour, depth)

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.gl.dispatches import GROUP, RGB10_A2, Dispatches
+from wlr_render.gl.dispatches import GROUP, Dispatches
 from wlr_render.gl.gl_errors import ErrorReader, GlError, error_name
 from wlr_render.gl.native_contexts import CurrentContext
 from wlr_render.gl.ownership import ContextOwner, free_dropped
 from wlr_render.gl.programs import (
-    COMPUTE_VERSION,
+    MULTI_BIND_VERSION,
     TextureUnits,
     for_eyes,
     forget_textures,
@@ -42,6 +42,7 @@ _SOFTWARE = "llvmpipe", "softpipe", "swrast", "swiftshader"
 _FRAMEBUFFER = 0x8D40
 _SRGB8 = 0x8C41  # GL_SRGB8: texels are decoded to linear light before they are filtered
 SRGB8_ALPHA8 = 0x8C43
+_RGB10_A2 = 0x8059
 _SRGB_DECODE, _SKIP_DECODE = 0x8A48, 0x8A4A  # enums of GL_EXT_texture_sRGB_decode, which some OpenGL ES drivers lack
 
 
@@ -68,7 +69,7 @@ class GlContext:
         renderer: OpenGL's name of the renderer, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)".
         largest_side_px: limit of OpenGL on a texture's or framebuffer's width and height.
         host_is_clean: whether this is the host's own context, in which it guarantees OpenGL's default state.
-        computes: whether the warp and its passes run as compute shaders: on a GPU with OpenGL 4.3.
+        computes: whether the warp and its passes run as compute shaders: on a GPU with OpenGL 4.4.
         dispatches: runs these shaders.
     """
 
@@ -101,8 +102,8 @@ class GlContext:
             self.renderer = str(ctx.info["GL_RENDERER"])
             self.largest_side_px = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
             ctx.extra = TextureUnits(ctx, current)
-            self.dispatches = Dispatches(ctx, current)
-        self.computes = ctx.version_code >= COMPUTE_VERSION and not self.is_software
+            self.dispatches = Dispatches(ctx, current, self.is_software)
+        self.computes = ctx.version_code >= MULTI_BIND_VERSION and not self.is_software
 
     def __enter__(self) -> "GlContext":
         return self
@@ -235,7 +236,7 @@ class GlContext:
         return self._programs[key]
 
     def compute_program(self, name: str, /, **constants: float) -> ComputeShader:
-        """Return the compute shader of a file in shaders/, compiled once for each set of constants; OpenGL 4.3.
+        """Return the compute shader of a file in shaders/, compiled once for each set of constants; OpenGL 4.4.
 
         Args:
             name: file name of a compute shader, or of a full-screen fragment shader without derivatives.
@@ -273,8 +274,7 @@ class GlContext:
             texture = self.tracked(self._ctx.texture(size, components, internal_format=SRGB8_ALPHA8))
             texture.extra = SRGB8_ALPHA8
         elif dtype == "rgb10":
-            texture = self.tracked(self._ctx.texture(size, components, dtype="nu2", internal_format=RGB10_A2))
-            texture.extra = RGB10_A2
+            texture = self.tracked(self._ctx.texture(size, components, dtype="nu2", internal_format=_RGB10_A2))
         else:
             texture = self.tracked(self._ctx.texture(size, components, dtype=dtype))
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)

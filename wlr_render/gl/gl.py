@@ -101,27 +101,25 @@ class Pass:
     def __init__(self, context: GlContext, name: str, /, **constants: float) -> None:
         """Compile a compute shader, or a fragment shader without derivatives, of shaders/."""
         self._context, self._name, self._constants = context, name, constants
-        self._programs: dict[bool, tuple[ComputeShader | Program, int]] = {}
+        self._programs: dict[bool, ComputeShader | Program] = {}
         self._program()  # compiled now, so that no frame waits for it
 
     def fill(self, target: RenderTarget, textures: Mapping[str, Any], **uniforms: Any) -> None:
         """Compute all texels of a target, with `textures` and `uniforms` as of `Dispatch`."""
-        program, eyes = self._program()
+        program = self._program()
         if isinstance(program, ComputeShader):
-            self._context.dispatches.add(Dispatch(program, eyes, target.textures, textures, uniforms))
+            self._context.dispatches.add(Dispatch(program, target.textures, textures, uniforms))
             return
         bind_textures(program, **textures)
         set_uniforms(program, **uniforms)
         self._context.draw_to(target.framebuffer)
         self._context.no_vertices(program).render(vertices=3)
 
-    def _program(self) -> tuple[ComputeShader | Program, int]:
-        """Return the program, and the number of eyes that it serves at once."""
+    def _program(self) -> ComputeShader | Program:
         computes = self._context.computes
         if computes not in self._programs:
             make = self._context.compute_program if computes else self._context.full_screen_program
-            eyes = self._context.dispatches.eyes if computes else 1
-            self._programs[computes] = make(self._name, **self._constants), eyes
+            self._programs[computes] = make(self._name, **self._constants)
         return self._programs[computes]
 
 

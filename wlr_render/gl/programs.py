@@ -15,7 +15,7 @@ GLSL_VERSION = 410
 
 
 COMPUTE_VERSION = 430
-"""GLSL version of compute shaders: OpenGL 4.3."""
+"""GLSL version of compute shaders."""
 
 MULTI_BIND_VERSION = 440
 """OpenGL 4.4 binds several textures in one call."""
@@ -64,6 +64,9 @@ def for_eyes(text: str, eyes: int) -> str:
     bound to unit k * eyes.
     """
     version, text = text.split("\n", 1)
+    missed = [line for line in text.splitlines() if line.startswith("uniform") and not _PER_EYE.match(line)]
+    if missed:
+        raise ValueError(f"{missed[0]!r} is not a uniform that each eye can have; declare one name in a line.")
     names = [(found[2], found[3]) for found in _PER_EYE.finditer(text)] + [
         (each[2], "") for each in _IMAGE.findall(text)
     ]

@@ -206,6 +206,10 @@ class CachedRayMaps(Generic[SolvedT]):
 
     def __init__(self, solves: Sequence[RayMapSolver[SolvedT]]) -> None:
         self._solves = solves
+        self.forget()
+
+    def forget(self) -> None:
+        """Solve again at the next viewpoint, even at the same one."""
         self._solved: tuple[FloatArray, list[SolvedT]] | None = None
 
     def at(self, viewpoint: FloatArray) -> list[SolvedT]:

@@ -115,6 +115,11 @@ class GlEye:
         image = take(view.camera, colour, depth, stored, rows, stored_colour, wider)
         self._pictures.append(WarpedPicture(image, self._plan.samples_of(view.camera)))
 
+    def forget(self) -> None:
+        """Compute all again in the next frame."""
+        self._ray_maps.forget()
+        self._warp.forget()
+
     def check_picture(self) -> None:
         """Check the picture that the eye shows.
 
@@ -255,9 +260,6 @@ class GlBackend:
             self.context, TEXTURE_KINDS[max(panel.bits for panel in panels.values())]
         )
         try:
-            if self.context.computes:
-                with self.context.drawing():
-                    self.context.dispatches.serve(len(plans))
             for plan in plans:
                 _check_sizes(plan, self.context.largest_side_px)
             self.eyes = {
@@ -271,9 +273,16 @@ class GlBackend:
         """Return a block in which the backend may be called."""
         return self.context.working()
 
-    def together(self) -> AbstractContextManager[object]:
-        """Return a block in which several eyes are composed, by one dispatch of each shader if the context computes."""
-        return self.context.dispatches.together() if self.context.computes else contextlib.nullcontext()
+    @contextlib.contextmanager
+    def together(self) -> Iterator[None]:
+        """Open a block in which several eyes are composed, by one dispatch of each shader if the context computes."""
+        try:
+            with self.context.dispatches.together() if self.context.computes else contextlib.nullcontext():
+                yield
+        except BaseException:
+            for eye in self.eyes.values():
+                eye.forget()  # what was dropped with the error
+            raise
 
     @contextlib.contextmanager
     def reading(self, eye: str, generation: int) -> Iterator[None]:

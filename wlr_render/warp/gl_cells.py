@@ -51,7 +51,7 @@ class GlCells:
 
     def __init__(self, context: gl.GlContext, channels: int, ranges: GlDepthRanges) -> None:
         self._channels = channels
-        self._ranges, self._targets = ranges, gl.RenderTargets(context)
+        self.ranges, self._targets = ranges, gl.RenderTargets(context)
         self._filling = gl.Pass(context, "cells.frag", CHANNELS=channels, **WARP_CONSTANTS)
 
     def draw(
@@ -64,7 +64,7 @@ class GlCells:
         inset: WarpCells | None,
     ) -> WarpCells:
         """Compute the cells of a picture, which may be an inset, and may contain an inset."""
-        ranges = self._ranges.of(image)
+        ranges = self.ranges.of(image)
         warp_grid = ray_maps[0].warp_grid
         matrices = image.camera.image_from_camera @ image_from_ray_map
         by_rows = matrices.ndim == 3

@@ -189,6 +189,12 @@ class GlWarp:
             with _viewport_kept(target):
                 self._draw(*drawn, target, background, overlays, backdrop)
 
+    def forget(self) -> None:
+        """Compute all again for the next picture."""
+        self._ranges.forget()
+        for each in self._cells:
+            each.ranges.forget()
+
     def _target_to_copy(self, size_px: tuple[int, int]) -> gl.RenderTarget:
         kind = (
             "nu2" if self._panel.texture_kind == "rgb10" else self._panel.texture_kind

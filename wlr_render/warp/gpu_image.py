@@ -98,6 +98,10 @@ class GlDepthRanges:
             self._of_image = gl.Pass(context, "tile_range.frag", TILE=TILE)
             self._of_tiles = gl.Pass(context, "range_pyramid.frag", TILE=TILE)
 
+    def forget(self) -> None:
+        """Compute the ranges of the next image, even of one that is kept."""
+        self._kept = []
+
     def of(self, image: GpuImage) -> DepthRanges:
         """Return an image's ranges, in textures that the image after the next overwrites. Call in a `drawing` block.
 

@@ -265,7 +265,6 @@ class PictureImport:
             limits=stored.limits,
             nothing=stored.nothing,
         )
-        # Without a depth, the unit after the colour's belongs to another picture.
         units = range(len(given) if any(each.is_callers or each.is_srgb for each in given) else 0)
         for unit in units:
             self._samplers[stored_colour.encoding].use(unit)
