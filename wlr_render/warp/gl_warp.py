@@ -191,7 +191,6 @@ class GlWarp:
 
     def forget(self) -> None:
         """Compute all again for the next picture."""
-        self._ranges.forget()
         for each in self._cells:
             each.ranges.forget()
 
