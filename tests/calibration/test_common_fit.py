@@ -12,10 +12,11 @@ from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import Calibration, calibrate
 from wlr_render.captures.correspondences import AnyCaptures, Captures
 from wlr_render.captures.feature_captures import CommonErrors
+from wlr_render.error_sources import ErrorSource
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.mappings import Eye
 from wlr_render.models.display_model import DisplayModel
-from wlr_render.models.registration import UNSHARED, model_registration_covariance
+from wlr_render.models.registration import model_registration_covariance
 from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
@@ -142,7 +143,7 @@ def test_registration_by_source(session: Simulated, tested: Tested) -> None:
     display = narrowed(fit.mappings.display, DisplayModel)
     see_through = narrowed(fit.mappings.see_through, SeeThroughModel)
     covariance = model_registration_covariance(display, see_through, pixel, viewpoint, point)
-    assert list(covariance) == [UNSHARED, "stage", "targets", "stage axes"]
+    assert list(covariance) == [ErrorSource.NOISE_AND_STAGE, "stage", "targets", "stage axes"]
     up, right = (np.sqrt(np.mean(covariance["targets"][:, axis, axis])) for axis in (1, 0))
     assert 0.3 < up / (1e-3 / 1.5 / ARCMIN) < 3.0
     assert right < 0.3 * up

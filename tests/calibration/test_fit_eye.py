@@ -16,6 +16,7 @@ from wlr_render.calibration.fit_eye import Calibration, EyeTrends, calibrate, ey
 from wlr_render.calibration.fit_prescription import fit_assembly
 from wlr_render.captures.correspondences import AnyCaptures, Captures
 from wlr_render.captures.feature_captures import CaptureMotionPrior
+from wlr_render.error_sources import ErrorSource
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
@@ -24,7 +25,6 @@ from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.models.model_place import NOWHERE
 from wlr_render.models.see_through_model import SeeThroughModel
-from wlr_render.models.spread import PRESCRIPTION
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
 from wlr_render.optics.device import EyeOptics
@@ -184,7 +184,7 @@ def test_both_models_have_the_same_posterior_of_the_assembly_errors(drawn: tuple
         np.testing.assert_allclose(
             fitted.mapping.spread.covariance(inputs), change @ change.transpose(0, 2, 1), rtol=1e-4, atol=1e-13
         )
-        assert fitted.mapping.spread.sources[:12] == (PRESCRIPTION,) * 12
+        assert fitted.mapping.spread.sources[:12] == (ErrorSource.PRESCRIPTION,) * 12
 
 
 def test_errors_of_display_and_see_through_vary_together_as_the_shared_variables_say(

@@ -15,7 +15,8 @@ from wlr_render.calibration.fit_report import ErrorShare, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.calibration.label_terms import LabelTerm, board_terms, unseen_errors
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
-from wlr_render.captures.feature_captures import TARGET_POSES, CommonErrors
+from wlr_render.captures.feature_captures import CommonErrors
+from wlr_render.error_sources import ErrorSource
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
@@ -130,7 +131,7 @@ def test_a_board_whose_pose_was_not_fitted_to_its_dots_may_be_stretched() -> Non
     captures = printed(0)
     poses = np.unique(captures.target_pose)
     places = np.unique(captures.capture)
-    known = CommonErrors((TARGET_POSES,), places, np.zeros((len(places), 6, 1)), None, poses)
+    known = CommonErrors((ErrorSource.TARGETS,), places, np.zeros((len(places), 6, 1)), None, poses)
     fits = of_printed(0), fit_see_through(replace(captures, common=known), "planar", 4)
     stated, fitted = (share_of(each, "printing errors of the board").arcmin for each in fits)
     assert stated > 1.2 * fitted

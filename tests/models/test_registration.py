@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from models.toy_models import EYE_BOX, Fitted, bundle_display, bundle_see_through, changed
 
+from wlr_render.error_sources import ErrorSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.mappings import QueryResult
 from wlr_render.models.display_model import DisplayModel
 from wlr_render.models.fitted_model import DirectionErrors, FittedSeeThrough
-from wlr_render.models.registration import UNSHARED, model_registration_covariance, registration_changes, right_and_up
+from wlr_render.models.registration import model_registration_covariance, registration_changes, right_and_up
 from wlr_render.models.see_through_model import SeeThroughModel
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray
@@ -75,7 +76,7 @@ def changes_of_models(models: Models) -> FloatArray:
 
 def test_covariance_is_that_of_the_changes_by_every_variable(models: Models, changes_of_models: FloatArray) -> None:
     found = model_registration_covariance(*models, PIXEL, VIEWPOINT, POINT)
-    assert list(found) == [UNSHARED, "lens", "stage"]
+    assert list(found) == [ErrorSource.NOISE_AND_STAGE, "lens", "stage"]
     total = np.sum([*found.values()], axis=0)
     for row in range(2):
         change = changes_of_models[:, row]
@@ -115,17 +116,17 @@ def test_what_both_share_alike_cancels(models: Models) -> None:
     assert np.abs(same["stage"]).max() == 0.0
     assert np.all(np.trace(alone["lens"], axis1=1, axis2=2) > 0)
     shown = display.sigma(PIXEL, VIEWPOINT)
-    own = np.sqrt(np.trace(same[UNSHARED], axis1=1, axis2=2) / 2.0)
+    own = np.sqrt(np.trace(same[ErrorSource.NOISE_AND_STAGE], axis1=1, axis2=2) / 2.0)
     assert np.all(own < shown)  # sigma has the shared part, too
 
 
 def test_broadcasts_and_marks_what_is_not_answered(models: Models) -> None:
     grid = model_registration_covariance(*models, PIXEL[:, None], VIEWPOINT, POINT)
-    assert grid[UNSHARED].shape == (2, 2, 2, 2)
+    assert grid[ErrorSource.NOISE_AND_STAGE].shape == (2, 2, 2, 2)
     single = model_registration_covariance(*models, PIXEL[1], VIEWPOINT[1], POINT[1])
     np.testing.assert_allclose(grid["lens"][1, 1], single["lens"], rtol=1e-9)
     behind = model_registration_covariance(*models, PIXEL, VIEWPOINT, POINT * [1, 1, -1])
-    assert np.isnan(behind[UNSHARED]).all()
+    assert np.isnan(behind[ErrorSource.NOISE_AND_STAGE]).all()
     assert np.isnan(behind["stage"]).all()
 
 

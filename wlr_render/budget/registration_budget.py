@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from wlr_render.budget.error_sizes import ErrorSizes, variances
+from wlr_render.error_sources import ErrorSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays, transforms
 from wlr_render.geometry.directions import ARCMIN
@@ -24,7 +25,7 @@ from wlr_render.tracking.eye_model import entrance_pupil_shift
 
 MODEL, EYE, HEAD, DRAWING = "model", "eye tracker", "head tracker", "drawing"
 """Owners of error sources; the name of a source is "OWNER: DETAIL"."""
-TRACKING_CAMERA = f"{MODEL}: tracking camera"
+TRACKING_CAMERA = f"{MODEL}: {ErrorSource.TRACKING_CAMERA}"
 """Error source of models fitted to photographs: the stated pose of the headset's camera, the frame of all readings."""
 
 _STEP_M = 20e-6  # step of a viewpoint: models curve over millimetres, and solves converge to 1e-12
@@ -177,7 +178,8 @@ class _Sensitivity:
         rounding = np.full(2, drawing.is_rounded / 12.0)
         return {
             **{f"{MODEL}: {name}": each for name, each in self._model().items()},
-            f"{MODEL}: truncation": (truncation.display_arcmin**2 + truncation.see_through_arcmin**2) * each_axis,
+            f"{MODEL}: {ErrorSource.TRUNCATION}": (truncation.display_arcmin**2 + truncation.see_through_arcmin**2)
+            * each_axis,
             f"{EYE}: noise": _spread(self.by_viewpoint, variances(eye.noise_m)),
             f"{EYE}: bias": _spread(self.by_viewpoint, variances(eye.bias_m)),
             **moved,

@@ -20,6 +20,7 @@ import numpy as np
 
 from wlr_render.calibration.posterior_spread import principal_root
 from wlr_render.captures.alignments_file import Alignments
+from wlr_render.error_sources import ErrorSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.mappings import Eye, EyeBox
@@ -34,8 +35,6 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 LEAST, MOST = 6, 1000
 """Least and largest number of alignments; six give enough numbers for SPAAM's unknowns."""
-SOURCE = "alignments"
-"""Source of the model's errors in an error budget."""
 _ORDER = 5
 _MIDDLE, _SCALE, _SPREAD, _TURN = 0.2, 0.4, 0.25, 0.06
 """Tangents: sigma of the panel's middle, usual half field and its sigma, and sigma of the terms due to roll."""
@@ -280,7 +279,7 @@ def _eye(found: Alignments, orders: IntArray, box: Box, posterior: _Posterior, e
     joint = np.zeros((k, 3, rank))
     joint[:, :2, :-1] = root[: 2 * k].reshape(2, k, -1).transpose(1, 0, 2)
     joint[0, 2, -1] = _INVERSE_DEPTH_SIGMA
-    sources = (SOURCE,) * rank
+    sources = (ErrorSource.ALIGNMENTS,) * rank
     eye_box = EyeBox(eye, found.eye_box.size)
     none = Polynomial(orders, box, np.zeros((k, 0)))
     display = PointPerPixelDisplay(

@@ -8,18 +8,18 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 
 from wlr_render.calibration.label_errors import LabelError, label_errors
-from wlr_render.calibration.label_terms import unseen_errors
+from wlr_render.calibration.label_terms import LabelTerm, unseen_errors
 from wlr_render.calibration.moved_captures import CaptureMotion, MotionAgreement
 from wlr_render.calibration.posterior_spread import label_response
 from wlr_render.calibration.reading_sums import Response
 from wlr_render.calibration.readings import FitReadings
 from wlr_render.calibration.smooth_fit import SmoothFit
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, select, with_copies
+from wlr_render.error_sources import ErrorSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between
 from wlr_render.mappings import QueryResult
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
-from wlr_render.models.registration import UNSHARED
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 AnyModel = TypeVar("AnyModel", FittedDisplay, FittedSeeThrough)
@@ -262,8 +262,9 @@ class ModelFit(Generic[AnyModel]):
         errors = self.mapping.direction_errors(subject, viewpoint, answer)
         square = np.nanmean(np.sum(errors.shared**2, axis=1), axis=0) / ARCMIN**2
         own = float(np.nanmean(np.trace(errors.unshared, axis1=1, axis2=2))) / ARCMIN**2
-        terms = {each.source: each for each in self.smooth.readings.axis_terms + self.smooth.readings.shared_terms}
-        found = [ErrorShare(UNSHARED, own**0.5)]
+        fitted = self.smooth.readings.axis_terms + self.smooth.readings.shared_terms
+        terms: dict[str, LabelTerm] = {each.source: each for each in fitted}
+        found = [ErrorShare(ErrorSource.NOISE_AND_STAGE, own**0.5)]
         for source in dict.fromkeys(errors.sources):
             share = float(np.sum(square[[each == source for each in errors.sources]])) ** 0.5
             if (term := terms.get(source)) is not None:

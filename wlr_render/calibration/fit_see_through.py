@@ -15,7 +15,7 @@ from wlr_render.calibration.readings import (
     without_thickness,
 )
 from wlr_render.captures.correspondences import SeeThroughCaptures
-from wlr_render.captures.feature_captures import TARGET_POSES
+from wlr_render.error_sources import ErrorSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.fitted_model import FittedSeeThrough
@@ -90,7 +90,7 @@ def _readings(
     place = without_thickness(place) if places and trend is None else place
     metric, dot = angular_metric(captures.tangents), captures.target_point[:, :2]
     is_noisy = bool(np.any(captures.sigma_arcmin > 0))
-    is_pose_fitted = captures.common is not None and TARGET_POSES in captures.common.sources
+    is_pose_fitted = captures.common is not None and ErrorSource.TARGETS in captures.common.sources
     drift = drift_term(captures.time_s, captures.tangents, metric)
     of_board = board_terms(dot, captures.point, captures.target_pose, by_point(slice(None)), is_pose_fitted)
     terms = [each for each in (*of_board, drift) if each is not None and is_noisy]

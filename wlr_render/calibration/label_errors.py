@@ -26,32 +26,22 @@ from wlr_render.calibration.reading_sums import Response
 from wlr_render.calibration.readings import motion_columns
 from wlr_render.calibration.smooth_fit import SmoothFit
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
+from wlr_render.error_sources import ErrorSource
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 STANDS_OUT, MATTERS = 2.0, 0.3
 """Least log10 odds of a significant label, and least effect of its errors on the model, relative to the error that the
 fit expects, for a report to name them: 4 % more error."""
-SOURCES_BY_LABEL = {
-    "dot and pose": (
-        "shape of the board at each pose",
-        "Hold the board flat at all poses, and let the camera's focus alone.",
-    ),
-    "dot": (
-        "printing errors of the board",
-        "Print the board on glass, measure its dots, or turn it by 90 degrees at one pose.",
-    ),
-    "visit": ("errors of each visit", "Let the stage settle before each photograph."),
-    "time": ("drift", "Let camera and headset warm up, and visit the positions in random order."),
-    "reading": ("stage axes", "Measure the errors of that axis, or track the camera."),
-    "direction": ("direction of travel", "Approach all positions from one side."),
-    "cell": (
-        "errors by place in the field",
-        "Check the camera's lens and the decoding; else the optics are less smooth than the model.",
-    ),
+_SOURCES = {
+    "dot and pose": ErrorSource.SHAPE_AT_POSES,
+    "dot": ErrorSource.PRINTING,
+    "visit": ErrorSource.VISITS,
+    "time": ErrorSource.DRIFT,
+    "reading": ErrorSource.STAGE_AXES,
+    "direction": ErrorSource.TRAVEL,
+    "cell": ErrorSource.FIELD,
 }
-"""Source of a label's errors and their remedy, by the start of the label's name."""
-REMEDIES = {"shape of the board": "Flatten the board, or measure its shape."} | dict(SOURCES_BY_LABEL.values())
-"""Sentence that states the remedy for errors of a source."""
+"""Source of a label's errors, by the start of the label's name."""
 _SIZES = np.geomspace(0.01, 10.0, 31)  # tested sizes of errors per axis, in units of the noise
 _USUAL, _DECADES = 0.1, 0.6  # usual size, and sigma of its decimal logarithm; larger errors show in single readings
 _LENGTHS = (0.1, 0.3)  # correlation lengths, in extents of the label's places
@@ -96,18 +86,9 @@ class LabelError:
         return self.stands_out and self.in_model_arcmin > MATTERS * self.own_arcmin
 
     @property
-    def source(self) -> str:
+    def source(self) -> ErrorSource:
         """Source of these errors in an error budget."""
-        return self._said[0]
-
-    @property
-    def remedy(self) -> str:
-        """Sentence on how to avoid these errors."""
-        return self._said[1]
-
-    @property
-    def _said(self) -> tuple[str, str]:
-        return next(said for start, said in SOURCES_BY_LABEL.items() if self.label.startswith(start))
+        return next(source for start, source in _SOURCES.items() if self.label.startswith(start))
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
+from wlr_render.error_sources import ErrorSource
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
 from wlr_render.usual import (
@@ -55,7 +56,7 @@ class LabelTerm:
     """
 
     name: str
-    source: str
+    source: ErrorSource
     columns: FloatArray
     offset: FloatArray
     usual: Size
@@ -95,10 +96,10 @@ class StageLabels:
             columns.append(own)
         if columns:
             joined = np.concatenate(columns, axis=2)
-            yield LabelTerm("axes", "stage axes", joined, np.zeros(joined.shape[2]), STAGE_SCREW_M)
+            yield LabelTerm("axes", ErrorSource.STAGE_AXES, joined, np.zeros(joined.shape[2]), STAGE_SCREW_M)
         if np.ptp(self.travel) > 0:
             by_travel = shift[:, :, :1] * self.travel[:, None, None]
-            yield LabelTerm("travel", "direction of travel", by_travel, np.zeros(1), STAGE_BACKLASH_M)
+            yield LabelTerm("travel", ErrorSource.TRAVEL, by_travel, np.zeros(1), STAGE_BACKLASH_M)
 
     @property
     def axes(self) -> list[int]:
@@ -169,7 +170,7 @@ def drift_term(time_s: FloatArray, image: FloatArray, metric: FloatArray) -> Lab
     constant = total_degree(2, 1).sum(axis=1) == 0
     offset = np.log(np.tile(np.where(constant, _TURN, _ZOOM), _TIMES) / order)
     mean = _MEAN / float(np.median(metric))
-    return LabelTerm("drift", "drift", columns, offset, CAMERA_DRIFT_ARCMIN, mean=mean)
+    return LabelTerm("drift", ErrorSource.DRIFT, columns, offset, CAMERA_DRIFT_ARCMIN, mean=mean)
 
 
 def means_by(group: IntArray, values: FloatArray) -> FloatArray:
@@ -229,7 +230,7 @@ def _print_term(dot: FloatArray, by_shift: FloatArray, is_pose_fitted: bool) -> 
     else:
         columns = (by_shift[..., None] * columns[:, None, None]).reshape(len(dot), 2, -1)
         offset, frequency = np.tile(offset, 2), np.tile(frequency, 2)
-    return LabelTerm("print", "printing errors of the board", columns, offset, BOARD_PRINT_M, frequency)
+    return LabelTerm("print", ErrorSource.PRINTING, columns, offset, BOARD_PRINT_M, frequency)
 
 
 def _height_term(dot: FloatArray, by_height: FloatArray) -> LabelTerm | None:
@@ -246,7 +247,7 @@ def _height_term(dot: FloatArray, by_height: FloatArray) -> LabelTerm | None:
     columns = by_height[:, :, None] * height[:, None]
     size = np.exp(-USUAL_FALL * frequency)
     offset = np.log(size / np.sqrt(0.25 * np.sum(size**2)))
-    return LabelTerm("heights", "shape of the board", columns, offset, BOARD_HEIGHT_M)
+    return LabelTerm("heights", ErrorSource.BOARD_SHAPE, columns, offset, BOARD_HEIGHT_M)
 
 
 def _board_axes(dot: FloatArray, point: FloatArray, pose: IntArray) -> FloatArray:

@@ -5,7 +5,8 @@ import scipy
 
 from wlr_render.calibration.reading_sums import Response
 from wlr_render.calibration.readings import FitReadings, design_of
-from wlr_render.models.spread import PRESCRIPTION, Covariance
+from wlr_render.error_sources import ErrorSource
+from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial, basis
 from wlr_render.numerics.posterior import Posterior
@@ -56,7 +57,7 @@ def spread_of(
         sampled = (sampled * weight[:, None, None]).reshape(2 * len(rows), -1)
         keep = principal(sampled[:, parameters:], float(np.sum((design @ apart_root) ** 2)) * 2.0)
         parts = [joint[..., :parameters], joint[..., parameters:] @ keep]
-    sources = (PRESCRIPTION,) * parameters
+    sources: tuple[str, ...] = (ErrorSource.PRESCRIPTION,) * parameters
     if response is not None:
         parts.insert(1, _by_errors(readings, response, joint_orders))
         sources += response.sources

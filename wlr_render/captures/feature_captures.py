@@ -20,8 +20,6 @@ from wlr_render.numerics.polynomial import Polynomial
 
 PANEL_PIXEL, REAL_POINT = 0, 1
 """Kinds of features."""
-TARGET_POSES = "targets"
-"""Source of target-pose errors among the common errors; only fits of the poses to the dots have this source."""
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ import numpy as np
 
 from wlr_render.budget.error_sizes import ErrorSizes, Truncation
 from wlr_render.budget.eye_budget import PANEL_CELLS, DisparityShare, EyeBudget, disparity_shares, eye_budget
-from wlr_render.budget.registration_budget import MODEL, TRACKING_CAMERA
+from wlr_render.budget.registration_budget import MODEL
 from wlr_render.budget.statement import SourceShare
-from wlr_render.calibration.label_errors import REMEDIES
+from wlr_render.error_sources import remedy
 from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.headset import effect_warnings, headset_path, is_factory, is_model, open_eye
@@ -93,8 +93,8 @@ def source_table(title: str, found: Mapping[str, Mapping[str, Any]], head: str, 
     rows: list[list[Cell]] = []
     for name, record in found.items():
         for each in record["sources"]:
-            source = each["name"]
-            rows.append([name, source, each["rms_arcmin"], REMEDIES.get(source.removeprefix(f"{MODEL}: "))])
+            owner, _, source = each["name"].partition(": ")
+            rows.append([name, each["name"], each["rms_arcmin"], remedy(source) if owner == MODEL else None])
         rows.append([name, "all", record["rms_arcmin"], None])
     columns = [head, "source", "rms (arcmin)", "what avoids it"]
     return ReportTable(title, columns, rows, [*notes, _SOURCES])
@@ -127,7 +127,7 @@ def _advice(found: EyeBudget) -> list[str]:
     worthwhile = [e for e in best if e.radius_if_halved_arcmin < (1.0 - _LEAST_GAIN) * found.radius_arcmin][:_ADVISED]
     words = ["Improve this first:", "Then", "Then"]
     return [
-        f"{word} {_HOW.get(each.name, each.name)}: half as large, 95 % of pixels lie within "
+        f"{word} {_how(each.name)}: half as large, 95 % of pixels lie within "
         f"{cell_text(each.radius_if_halved_arcmin)}' instead of {cell_text(found.radius_arcmin)}'."
         for word, each in zip(words, worthwhile, strict=False)
     ]
@@ -141,18 +141,16 @@ _HOW = {
     "head tracker: latency": "the latency that remains after prediction and late warp of the head pose",
     "drawing: whole pixels": "the drawing, by a filter",
     "drawing: corneal refraction": "the drawing, for more than one entrance pupil",
-    TRACKING_CAMERA: "the stated pose of the tracking camera (or measure head poses and pupils with that camera: "
-    "--camera-frame)",
-    "model: truncation": "the truncation error of the models (more camera positions, higher degrees)",
-    "model: noise and stage": "noise and stage of the calibration (more camera positions)",
-    "model: prescription": "the assembly errors that the prescription leaves open (more camera positions)",
-    "model: lens": "the calibration of the eyeball camera's lens (more photographs of the board)",
-    "model: board": "the board (measure its scale and its bow, or take a stiffer one)",
-    "model: targets": "the poses of the targets (more photographs of them without the headset)",
-    "model: stage": "the axes of the stage and the camera on it (more photographs without the headset)",
-    "model: drift of the bench": "the drift of the bench during its calibration (let camera and stage warm up)",
-    **{f"model: {source}": f"the {source} ({remedy[0].lower()}{remedy[1:-1]})" for source, remedy in REMEDIES.items()},
 }
+
+
+def _how(name: str) -> str:
+    """Return what to improve against a source of errors, in words."""
+    owner, _, source = name.partition(": ")
+    if owner != MODEL:
+        return _HOW.get(name, name)
+    sentence = remedy(source)
+    return f"the {source} ({sentence[0].lower()}{sentence[1:-1]})"
 
 
 def _warnings(headset: str, found: Sequence[EyeBudget]) -> list[str]:

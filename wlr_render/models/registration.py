@@ -4,13 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wlr_render.error_sources import ErrorSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
-
-UNSHARED = "noise and stage"
-"""Source of the errors that display and see-through do not share."""
 
 
 def model_registration_covariance(
@@ -29,8 +27,7 @@ def model_registration_covariance(
 
     Returns:
         Covariances (..., 2, 2) in square arcminutes along the axes of `right_and_up` of the pixel's direction; their
-        sum is the total covariance. `UNSHARED` is the part that the models do not share. NaN where a model has no
-        answer.
+        sum is the total covariance. The models do not share `NOISE_AND_STAGE`. NaN where a model has no answer.
 
     Raises:
         BadInputError: a model has no covariance, or the two are not from one fit.
@@ -45,7 +42,7 @@ def model_registration_covariance(
     axes = right_and_up(shown) / ARCMIN
     difference = axes @ (of_display.shared - of_see_through.shared)
     unshared = axes @ (of_display.unshared + of_see_through.unshared) @ np.swapaxes(axes, -1, -2)
-    return {UNSHARED: unshared} | {
+    return {ErrorSource.NOISE_AND_STAGE: unshared} | {
         name: _from(difference, of_display.sources, name) for name in dict.fromkeys(of_display.sources)
     }
 

@@ -15,8 +15,6 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
 _CHUNK = 1_024  # inputs whose factors are held at once
-PRESCRIPTION = "prescription"
-"""Name of the source of shared variables that are assembly errors of a prescription."""
 
 
 @dataclass(frozen=True)

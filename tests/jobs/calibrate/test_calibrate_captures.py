@@ -27,6 +27,7 @@ from wlr_render.captures.capture_file import load_captures
 from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
 from wlr_render.cli import main
+from wlr_render.error_sources import ErrorSource, remedy
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.truth_tests import TruthTests
@@ -451,8 +452,8 @@ def test_the_largest_source_of_the_predicted_error_is_advised_against(linear: tu
     own, drift = ErrorShare("noise and stage", 0.05), ErrorShare("drift", 0.04, 0.1, 0.1, "arcmin")
     fit = with_report(linear, shares=(board, own, drift), unseen=("heat (thermometers)",))
     assert fit_advice(fit) == [
-        "Display: 0.10' of the predicted 0.12' come from printing errors of the board (48 um in the fit, usually 50 "
-        "um). Print the board on glass, measure its dots, or turn it by 90 degrees at one pose."
+        "Display: 0.10' of the predicted 0.12' come from the source 'printing errors of the board' (48 um in the fit, "
+        "usually 50 um). Print the board on glass, measure its dots, or turn it by 90 degrees at one pose."
     ]
     captures = captures_of_fit(fit)
     blocks = fit_blocks(KindComparison({"planar": fit}, "planar"), captures)
@@ -463,6 +464,17 @@ def test_the_largest_source_of_the_predicted_error_is_advised_against(linear: tu
         "Display: the predicted error does not contain the following errors, because the captures lack the data in "
         "brackets: heat (thermometers)."
     )
+
+
+@pytest.mark.parametrize("source", [*ErrorSource, "heat"])
+def test_each_source_of_most_of_the_predicted_error_has_a_remedy(
+    linear: tuple[Calibration, FitReport], source: str
+) -> None:
+    fit = with_report(linear, shares=(ErrorShare(source, 0.11), ErrorShare("lens", 0.01)))
+    advice = f"Display: 0.11' of the predicted 0.12' come from the source '{source}'. {remedy(source)}"
+    # Against noise help positions, on which a sentence of its own advises, where they pay.
+    assert fit_advice(fit) == ([] if source == ErrorSource.NOISE_AND_STAGE else [advice])
+    assert re.fullmatch(r"[A-Z].{20,}[^.]\.", remedy(source))
 
 
 def test_a_prescription_is_compared_with_no_prescription_and_the_best_kind_is_saved(

@@ -17,6 +17,7 @@ from wlr_render.calibration.bench.board_views import EYEBALL, CameraSetup, Known
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.boards.board import BoardTolerances
 from wlr_render.captures.photo_session import StageAxis
+from wlr_render.error_sources import ErrorSource
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.lenses.lens import Lens
@@ -109,7 +110,7 @@ class Block:
         size: (k,) prior sizes; for unknowns with a hyperparameter, multiples of the hyperparameter's size.
         middle: middle of the prior, like `value`, or the values of a lens. NaN or None without prior knowledge.
         hyper: (k,) or a number, change of the logarithm of each prior size by a hyperparameter, by name.
-        source: source of errors common to all captures, in an error budget; "" for errors of one photograph.
+        source: source of errors common to all captures, in an error budget; None for errors of one photograph.
         chart: parametrisation of steps of the value.
     """
 
@@ -117,7 +118,7 @@ class Block:
     size: FloatArray
     middle: Any = None
     hyper: Mapping[str, Any] = field(default_factory=dict)
-    source: str = ""
+    source: ErrorSource | None = None
     chart: Chart = NUMBERS
 
     def moved(self, step: FloatArray) -> "Block":
@@ -213,7 +214,7 @@ class Layout:
         return Prior(HYPER, table[:, 2:], table[:, :2], none, self.features, none)
 
 
-def numbers_block(size: FloatArray, hyper: Mapping[str, Any] = _NO_HYPER, source: str = "") -> Block:
+def numbers_block(size: FloatArray, hyper: Mapping[str, Any] = _NO_HYPER, source: ErrorSource | None = None) -> Block:
     """Return a block of numbers that are zero on an exact bench."""
     return Block(np.zeros(size.shape), size, np.zeros(size.shape), hyper, source)
 
@@ -239,9 +240,9 @@ def lens_block(name: str, lens: Lens, setup: CameraSetup) -> Block:
     return Block(lens, sizes, middle, hyper, source, LENS)
 
 
-def lens_source(name: str) -> str:
+def lens_source(name: str) -> ErrorSource:
     """Return the source of the errors of a camera's lens."""
-    return "lens" if name == EYEBALL else "tracking camera"
+    return ErrorSource.LENS if name == EYEBALL else ErrorSource.TRACKING_CAMERA
 
 
 def with_residual(lens: Lens, setup: CameraSetup) -> Lens:
@@ -254,17 +255,16 @@ def shape_block(shape: BoardShape, tolerances: BoardTolerances) -> Block:
     size = np.zeros(len(shape.low))
     size[: len(BOARD_SHAPE)] = [tolerances.flatness_m] * 3 + [tolerances.scale_sigma] * 3
     if shape.fields is None:
-        return numbers_block(size, source="board")
+        return numbers_block(size, source=ErrorSource.BOARD)
     height, printed = shape.fields
     end = len(BOARD_SHAPE) + len(height)
     size[len(BOARD_SHAPE) : end], size[end:] = height.sizes, np.tile(printed.sizes, 2)
     number = np.arange(len(size))
-    return numbers_block(
-        size, {"height": (number >= len(BOARD_SHAPE)) & (number < end), "print": number >= end}, "board"
-    )
+    hyper = {"height": (number >= len(BOARD_SHAPE)) & (number < end), "print": number >= end}
+    return numbers_block(size, hyper, ErrorSource.BOARD)
 
 
-def pose_block(pose: FloatArray, known: KnownPose | None, source: str) -> Block:
+def pose_block(pose: FloatArray, known: KnownPose | None, source: ErrorSource) -> Block:
     """Return the block of a pose (4, 4) with its prior."""
     if known is None:
         return Block(pose, np.full(6, FLAT), source=source, chart=POSE)
@@ -287,7 +287,7 @@ def axis_block(axis: StageAxis, twist: FloatArray, base: FloatArray) -> Block:
         sizes[AXIS_PARTS[axis.kind]] = np.sqrt(usual.STAGE_SCALE.value**2 * along + sigma**2 * (1.0 - along))
     if axis.direction is not None and axis.pivot is not None:
         sizes[3:] = usual.STAGE_PIVOT_M.value
-    return Block(twist, sizes, source="stage")
+    return Block(twist, sizes, source=ErrorSource.STAGE)
 
 
 def stage_error_blocks(axes: Sequence[StageAxis]) -> dict[Key, Block]:
@@ -298,7 +298,7 @@ def stage_error_blocks(axes: Sequence[StageAxis]) -> dict[Key, Block]:
         if degree == 1:
             sizes[slice(0 if axis.kind == "rotary" else 3, 6)] = EXACT
         hyper = {"smooth turn": TURNS, "smooth shift": 1.0 - TURNS, FALL: 1.0 - degree}
-        blocks["smooth", number * SMOOTH_DEGREE + degree - 1] = numbers_block(sizes, hyper, "stage")
+        blocks["smooth", number * SMOOTH_DEGREE + degree - 1] = numbers_block(sizes, hyper, ErrorSource.STAGE)
     return blocks
 
 

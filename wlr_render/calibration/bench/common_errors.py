@@ -18,13 +18,21 @@ from wlr_render.calibration.poses import adjoint
 from wlr_render.calibration.posterior_spread import lower_root
 from wlr_render.calibration.readings import angular_metric
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures
-from wlr_render.captures.feature_captures import TARGET_POSES, CaptureMotionPrior, CommonErrors, point_terms
+from wlr_render.captures.feature_captures import CaptureMotionPrior, CommonErrors, point_terms
 from wlr_render.captures.photo_session import BoardPhotograph, SessionEntry
+from wlr_render.error_sources import ErrorSource
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
-SOURCES = ("lens", "board", "tracking camera", TARGET_POSES, "stage", "drift of the bench")
+SOURCES = (
+    ErrorSource.LENS,
+    ErrorSource.BOARD,
+    ErrorSource.TRACKING_CAMERA,
+    ErrorSource.TARGETS,
+    ErrorSource.STAGE,
+    ErrorSource.BENCH_DRIFT,
+)
 """Sources of common errors, in the order of the root."""
 _KEPT = 0.999  # share of a source's variance in the readings that is kept, which makes sigmas 0.05 % too small
 _MOST = 24  # most variables of all sources, largest first; each takes time in fits and space in model files

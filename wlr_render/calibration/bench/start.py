@@ -34,7 +34,7 @@ from wlr_render.calibration.bench.board_views import (
 )
 from wlr_render.calibration.bench.state import DRIFT_DEGREE, BenchState, screw_key, stage_motion
 from wlr_render.calibration.poses import motion_between, small_motion
-from wlr_render.captures.feature_captures import TARGET_POSES
+from wlr_render.error_sources import ErrorSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.lenses.lens import Lens
@@ -219,23 +219,23 @@ def _blocks(
         blocks["shape", name] = shape_block(shape, seen.tolerances[name])
     views = [view for view in seen.views if view.camera == EYEBALL and view.target is not None]
     for number in dict.fromkeys(int(view.target or 0) for view in views):
-        blocks["focus", number] = numbers_block(np.array([usual.CAMERA_FOCUS_BREATHING.value]), source="lens")
+        blocks["focus", number] = numbers_block(np.array([usual.CAMERA_FOCUS_BREATHING.value]), source=ErrorSource.LENS)
     for number, pose in chain.targets.items():
-        blocks["target", number] = pose_block(pose, seen.targets.get(number), TARGET_POSES)
+        blocks["target", number] = pose_block(pose, seen.targets.get(number), ErrorSource.TARGETS)
     if (tracking := seen.device_from_tracking) is not None:
-        blocks["extrinsics", TRACKING] = pose_block(tracking.pose, tracking, "tracking camera")
+        blocks["extrinsics", TRACKING] = pose_block(tracking.pose, tracking, ErrorSource.TRACKING_CAMERA)
     for number, pose in chain.base.items():
         known = seen.device_from_camera if number == first else None
-        blocks["base", number] = pose_block(pose, known, "stage")
+        blocks["base", number] = pose_block(pose, known, ErrorSource.STAGE)
     for number, (axis, twist) in enumerate(zip(seen.axes, chain.twists, strict=True)):
         blocks["axis", number] = axis_block(axis, twist, chain.base[first])
     blocks |= stage_error_blocks(seen.axes)
     if seen.duration is not None and all(place.time_s is not None for place in seen.places.values()):
         for degree in range(1, DRIFT_DEGREE + 1):
-            blocks["drift", degree] = numbers_block(np.full(2, 1.0 / degree), {"drift": 1.0}, "drift of the bench")
+            blocks["drift", degree] = numbers_block(np.full(2, 1.0 / degree), {"drift": 1.0}, ErrorSource.BENCH_DRIFT)
     visits = {place: reading for place in chain.visited if (reading := seen.places[place].reading) is not None}
     screws = {screw_key(axis, each) for each in visits.values() for axis in range(len(each))}
-    blocks |= {key: numbers_block(np.ones(1), {"screw": 1.0}, "stage") for key in sorted(screws)}
+    blocks |= {key: numbers_block(np.ones(1), {"screw": 1.0}, ErrorSource.STAGE) for key in sorted(screws)}
     blocks |= {("offset", place): numbers_block(np.ones(6), {"turn": TURNS, "shift": 1.0 - TURNS}) for place in visits}
     if not rough:
         blocks |= {("stretch", name): numbers_block(np.ones(4), {"stretch": 1.0}) for name in held}

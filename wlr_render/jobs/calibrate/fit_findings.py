@@ -8,10 +8,11 @@ import numpy as np
 from wlr_render.calibration.fit_eye import Calibration, KindComparison
 from wlr_render.calibration.fit_prescription import IMPLAUSIBLE
 from wlr_render.calibration.fit_report import ErrorShare, FitReport, ModelFit
-from wlr_render.calibration.label_errors import MATTERS, REMEDIES, STANDS_OUT
+from wlr_render.calibration.label_errors import MATTERS, STANDS_OUT
 from wlr_render.calibration.moved_captures import MotionAgreement
 from wlr_render.calibration.smooth_prior import LARGEST_SHIFT_M, LARGEST_TURN_RAD
 from wlr_render.captures.correspondences import Captures
+from wlr_render.error_sources import ErrorSource, remedy
 from wlr_render.jobs.calibrate.fit_plots import position_names, predicted_maps, residual_plots
 from wlr_render.mappings import Eye
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
@@ -115,7 +116,7 @@ def _label_warnings(title: str, report: FitReport) -> list[str]:
         f"{title}: the residuals show errors by {each.label} of {_digits(each.size_arcmin)}' rms (log10 odds "
         f"{each.log10_odds:.0f}), which the model lacks. They cause errors of the model of about "
         f"{_digits(each.in_model_arcmin)}', which the predicted error contains as '{each.source}'. "
-        f"{each.remedy}"
+        f"{each.source.remedy}"
         for each in report.labels
         if each.matters
     ]
@@ -199,15 +200,18 @@ def _motion_warnings(title: str, report: FitReport) -> list[str]:
 
 
 def fit_advice(fit: Calibration) -> list[str]:
-    """Return advice against the largest source of the predicted error, and to add positions that reduce it."""
+    """Return advice against the largest source of the predicted error, and to add positions that reduce it.
+
+    Positions are the remedy for noise, so that noise is no source to advise on beside them.
+    """
     steps = []
     for name, report in _reports(fit):
         whole = report.predicted_arcmin
         steps += [
             f"{name.capitalize()}: {_digits(each.arcmin)}' of the predicted {_digits(whole)}' come from "
-            f"{each.source}{_sizes(each)}. {REMEDIES[each.source]}"
+            f"the source '{each.source}'{_sizes(each)}. {remedy(each.source)}"
             for each in report.shares
-            if each.source in REMEDIES and each.arcmin > _MOST_OF_IT * whole
+            if each.source != ErrorSource.NOISE_AND_STAGE and each.arcmin > _MOST_OF_IT * whole
         ]
         if report.one_more is not None and _gain(report) > WORTH_A_ROW:
             now, then = _digits(report.predicted_arcmin), _digits(report.one_more.predicted_arcmin)
