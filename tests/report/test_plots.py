@@ -1,7 +1,7 @@
 from pathlib import Path
 
 import numpy as np
-from browser import needs_browser, open_page
+from browser import driven_page, needs_browser, open_page
 
 from wlr_render.report.blocks import Report
 from wlr_render.report.plots import arrow_map, bars, curves, heat_map, small_heat_maps
@@ -40,6 +40,8 @@ def test_panels_of_an_arrow_map_share_axes_and_menu() -> None:
     groups = {name: (place, size * np.ones((2, 2)), np.ones((2, 2))) for name, size in (("a", 4.0), ("b", 2.0))}
     plot = arrow_map("Residual", groups, "px", ("u", "v"), panels=("before", "after"))
     assert [trace.get("xaxis") for trace in plot.data] == [*["x", "x", "x2", "x2"] * 2, None]
+    # Two bars of colours would be drawn over each other.
+    assert [trace["marker"]["showscale"] for trace in plot.data[1::2]] == [True, False, True, False]
     assert (plot.layout["xaxis2"]["matches"], plot.layout["annotations"][1]["text"]) == ("x", "after")
     shown = [button["args"][0]["visible"] for button in plot.layout["updatemenus"][0]["buttons"]]
     assert shown == [[True] * 4 + [False] * 4 + [True], [False] * 4 + [True] * 5]
@@ -60,6 +62,19 @@ def test_plots_of_every_kind_open_in_a_browser(tmp_path: Path) -> None:
     ]
     page = open_page(save_report(Report("Plots", blocks=plots), tmp_path, "report").files[0], tmp_path)
     assert (page.console, page.plots) == ([], 5)
+
+
+@needs_browser
+def test_the_title_of_an_axis_lies_beside_its_numbers(tmp_path: Path) -> None:
+    panel = heat_map("Map", np.ones((27, 24)), "arcmin", cell=60.0)
+    path = save_report(Report("Plots", blocks=[panel]), tmp_path, "report").files[0]
+    edges = "[...document.querySelectorAll('SELECTOR')].map(each => each.getBoundingClientRect().SIDE)"
+    with driven_page(tmp_path) as page:
+        page.open(path, "document.querySelector('.ytitle') !== null")
+        (title,) = page.value(edges.replace("SELECTOR", ".ytitle").replace("SIDE", "right"))
+        numbers = page.value(edges.replace("SELECTOR", ".ytick text").replace("SIDE", "left"))
+    assert len(numbers) > 5
+    assert title < min(numbers)
 
 
 def test_small_heat_maps_share_one_logarithmic_scale() -> None:

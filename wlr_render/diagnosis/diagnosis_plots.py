@@ -246,7 +246,8 @@ def correlations_plot(diagnosis: DiagnosisRecord) -> Plot:
         | {"zmin": -1, "zmax": 1, "colorscale": "RdBu", "reversescale": True, "texttemplate": "%{z:.2f}"}
     ]
     layout = {"yaxis": {"autorange": "reversed"}}
-    return Plot("Correlations between the values found", data, layout, "", 160 + 28 * len(found.names))
+    caption = "Correlation coefficients. Near 1 or -1, the readings determine a combination of both values only."
+    return Plot("Correlations between the values found", data, layout, caption, 160 + 28 * len(found.names))
 
 
 def _radial(residual: FloatArray, outwards: FloatArray) -> FloatArray:

@@ -211,7 +211,7 @@ def excluded_table(diagnosis: DiagnosisRecord) -> ReportTable:
 def _component(attribute: str, number: int, moved: MovedCapture) -> Cell:
     """Return one component of a move; None where the move is not known."""
     values = getattr(moved, attribute)
-    return None if values is None else Number(values[number], "+.3f")
+    return None if values is None else Number(values[number], "+z.3f")
 
 
 def effects_table(diagnosis: DiagnosisRecord) -> ReportTable:

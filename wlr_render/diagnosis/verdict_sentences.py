@@ -55,7 +55,7 @@ CERTAIN = 20.0  # log10 odds beyond which the exact number does not matter
 _MATRIX = "[["  # start of a typed list of lists, which is too long for a sentence
 
 AXES_NOTE = (
-    "Parameters are in OpenXR axes (x right, y up, z towards the wearer), whatever `frame` the bench file states."
+    "Parameters are in OpenXR axes (x right, y up, z towards the wearer), whatever 'frame' the bench file states."
 )
 FRAME_NOTE = f'Vectors and rotations are in frame = "{WRITTEN_FRAME}".'
 

@@ -112,8 +112,8 @@ def _verdict(found: BenchPrediction, bench: Path) -> Iterator[str]:
         yield f"{bench} does not predict {captures}."
     else:
         yield (
-            f"{bench} does not predict {captures}: {' and '.join(good)} to noise and repeatability, "
-            f"{' and '.join(bad)} not."
+            f"{bench} does not predict {captures}: it predicts {' and '.join(good)} to noise and "
+            f"repeatability, but not {' and '.join(bad)}."
         )
     for part in found.parts:
         yield _part_sentence(part, found.session)
@@ -187,7 +187,7 @@ def _tables(found: BenchPrediction) -> Iterator[Block]:
         "With measured noise and repeatability: reduced chi-squared against the noise within the photographs, without "
         "the small motions of the camera from capture to capture, whose sizes are the repeatability.",
     )
-    sizes = {"repeatability (um)": "shift_um", "of turns (urad)": "turn_urad"}
+    sizes = {"repeatability (um)": "shift_um", "repeatability of turns (urad)": "turn_urad"}
     yield table("Parts", found.parts, {**_columns("part", found), **sizes}, notes)
     if found.distances:
         yield table("Distances of the target from the camera", found.distances, _columns("distance", found))

@@ -19,13 +19,17 @@ _MARGIN = 0.06  # margin left and right of panels side by side, as a share of th
 _ACROSS = 3  # maps in a row
 _DECADES = 3.0  # decades of the logarithmic scale that maps share; smaller values have the first colour
 
+_STANDOFF_PX = 8  # gap between the numbers of an axis and its title; Plotly's own place may lie on the numbers
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
 _DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 
 
 def axis(title: str, log: bool = False) -> dict[str, Any]:
-    """Return the layout of an axis: its title with unit, and its scale."""
-    return {"title": {"text": title, "font": {"size": 12}}, **({"type": "log"} if log else {})}
+    """Return the layout of an axis: its title with unit, beside the numbers however long they are, and its scale."""
+    return {
+        "title": {"text": title, "font": {"size": 12}, "standoff": _STANDOFF_PX},
+        **({"type": "log"} if log else {}),
+    }
 
 
 def curves(
@@ -195,7 +199,7 @@ def arrow_map(
             finite = np.flatnonzero(np.isfinite(arrow).all(axis=1))
             rows = finite[:: max(1, len(finite) // most)]
             shown = {"visible": number == 0, "showlegend": False, "xaxis": f"x{panel + 1 if panel else ''}"}
-            data += _arrows(place[rows], arrow[rows], scale, reference, unit, shown)
+            data += _arrows(place[rows], arrow[rows], scale, reference, unit, shown, has_scale=panel == 0)
     below = 0.06 * (high - low)[1]
     corner = np.array([low[0], high[1] + below if y_down else low[1] - below])
     data.append(
@@ -219,12 +223,19 @@ def arrow_map(
 
 
 def _arrows(
-    place: FloatArray, arrow: FloatArray, scale: FloatArray, most: float, unit: str, shown: Mapping[str, Any]
+    place: FloatArray,
+    arrow: FloatArray,
+    scale: FloatArray,
+    most: float,
+    unit: str,
+    shown: Mapping[str, Any],
+    *,
+    has_scale: bool,
 ) -> list[dict[str, Any]]:
     """Return the traces of arrows (n, 2) at positions (n, 2): grey shafts, and tips coloured by size up to `most`."""
     tip, size = place + scale * arrow, np.linalg.norm(arrow, axis=1)
     shaft = np.stack([place, tip, np.full_like(tip, np.nan)], axis=1).reshape(-1, 2)
-    colours = {"colorscale": "Viridis", "cmin": 0.0, "cmax": most, "showscale": True}
+    colours = {"colorscale": "Viridis", "cmin": 0.0, "cmax": most, "showscale": has_scale}
     return [
         _trace(shaft, "lines", line={"width": 1, "color": "#888888"}, hoverinfo="skip", **shown),
         _trace(

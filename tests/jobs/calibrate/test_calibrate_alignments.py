@@ -118,7 +118,8 @@ def test_the_times_of_some_alignments_alone_are_refused(alignments: Path, tmp_pa
 def test_the_first_sentence_names_an_alignment_that_the_others_contradict(alignments: Path, tmp_path: Path) -> None:
     changed(alignments, 3, point_m=[0.3, 0.3, -1.0])
     report = calibrate(CalibrateOptions(str(alignments), out=tmp_path / "out"))
-    assert report.verdict.startswith("Right eye: 12 alignments, of which the others contradict number 4, predict")
+    assert report.verdict.startswith("Right eye: 12 alignments predict points at 1 m to ")
+    assert "; the others contradict number 4. One alignment errs by" in report.verdict
     assert "e+0" not in report.verdict
     assert report.advice[0].startswith("Align number 4 again, or remove it from ")
 

@@ -239,7 +239,7 @@ def test_an_accuracy_out_of_reach_is_said_to_be(search: DesignSearch) -> None:
     from wlr_render.jobs.plan.plan_report import plan_report
 
     report = plan_report(replace(search, reaches=False), 0.001, 2.0)
-    assert report.verdict.startswith("The wanted 0.001' are not reached.")
+    assert report.verdict.startswith("The wanted 0.001' is not reached.")
 
 
 def test_the_report_states_places_photographs_and_errors(

@@ -46,13 +46,13 @@ def calibrate_alignments(options: CalibrateOptions, *, progress: ProgressArgumen
         _table(found, fit),
     ]
     place, sigma = 1e3 * fit.eye_m, 1e3 * fit.eye_sigma_m
-    contradicting = f", of which the others contradict number {_numbers(fit)}," if fit.doubtful else ""
+    doubted = f"; the others contradict number {_numbers(fit)}" if fit.doubtful else ""
     return Report(
         f"Calibration of {found.device}, {found.eye} eye, by alignments",
-        verdict=f"{found.eye.capitalize()} eye: {len(found.pixel)} alignments{contradicting} predict points at "
-        f"1 m to {_arcmin(predicted[1])} rms, at 0.4 m to {_arcmin(predicted[0])}. One alignment errs by "
-        f"{fit.hand_arcmin:.2g}' per axis; the eye is at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm, known to "
-        f"({sigma[0]:.1f}, {sigma[1]:.1f}, {sigma[2]:.1f}) mm.",
+        verdict=f"{found.eye.capitalize()} eye: {len(found.pixel)} alignments predict points at 1 m to "
+        f"{_arcmin(predicted[1])} rms, at 0.4 m to {_arcmin(predicted[0])}{doubted}. One alignment errs by "
+        f"{fit.hand_arcmin:.2g}' per axis; the eye is at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm in the "
+        f"device frame, known to ({sigma[0]:.1f}, {sigma[1]:.1f}, {sigma[2]:.1f}) mm.",
         advice=_advice(found, fit),
         warnings=[*eye_warnings(fit.mappings), *_warnings(found, fit), *notes],
         blocks=tables,
@@ -89,11 +89,11 @@ def _table(found: Alignments, fit: AlignmentFit) -> ReportTable:
             *map(float, found.pixel[number]),
             float(distance[number]),
             float(left),
-            "?" * (number + 1 in fit.doubtful),
+            "yes" if number + 1 in fit.doubtful else "",
         ]
         for number, left in enumerate(fit.residual_arcmin)
     ]
-    columns = ["alignment", "u (px)", "v (px)", "distance (m)", "left by the fit (arcmin)", "doubtful"]
+    columns = ["alignment", "u (px)", "v (px)", "distance (m)", "residual (arcmin)", "contradicted by the others"]
     return ReportTable("Alignments", columns, rows)
 
 
@@ -110,7 +110,9 @@ def _advice(found: Alignments, fit: AlignmentFit) -> list[str]:
     distance = found.eye_box.centre[2] - found.point[:, 2]
     steps = []
     if numbers := _numbers(fit):
-        steps.append(f"Align number {numbers} again, or remove it from {found.path}: it is in the model, and bends it.")
+        steps.append(
+            f"Align number {numbers} again, or remove it from {found.path}: it is in the model and distorts it."
+        )
     if distance.max() < _RATIO * distance.min():
         steps.append(
             f"Align points at other distances too: all are {distance.min():.2g} to {distance.max():.2g} m away, which "

@@ -144,7 +144,7 @@ def _report(
         advice.append(f"Photograph the board from them at {target[0]:g} m, too: this lowers the error by {gain:.0f} %.")
 
     def of_last(k: int) -> Callable[[_Step], Cell]:
-        return lambda step: Number(1e3 * (step.places[-1] - box.centre)[k], "+.3f") if len(step.places) else None
+        return lambda step: Number(1e3 * (step.places[-1] - box.centre)[k], "+z.3f") if len(step.places) else None
 
     columns: Columns = {
         **{f"{axis} (mm)": of_last(k) for k, axis in enumerate("xyz")},

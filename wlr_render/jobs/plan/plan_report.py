@@ -35,7 +35,7 @@ def plan_report(search: DesignSearch, accuracy_arcmin: float, seconds: float) ->
     )
     verdict = f"{what}; this reaches the wanted {accuracy_arcmin:g}'."
     if not search.reaches:
-        verdict = f"The wanted {accuracy_arcmin:g}' are not reached. The best design found: {what}."
+        verdict = f"The wanted {accuracy_arcmin:g}' is not reached. The best design found: {what}."
     models = search.predictor.models(design.unit)
     blocks: list[Block] = [
         _errors_table(errors, simulated),
@@ -70,7 +70,7 @@ def plan_report(search: DesignSearch, accuracy_arcmin: float, seconds: float) ->
 def places_table(places: FloatArray) -> ReportTable:
     """Tabulate places (m, 3) from the centre of the eye box, in random order."""
     rows: list[list[Cell]] = [
-        [number, *(Number(1e3 * each, "+.3f") for each in place)]
+        [number, *(Number(1e3 * each, "+z.3f") for each in place)]
         for number, place in enumerate(in_random_order(places))
     ]
     notes = (
@@ -182,8 +182,11 @@ def _curves(search: DesignSearch, accuracy_arcmin: float) -> Plot:
         for name, tried in found.items()
     }
     counts = [count for xs, _ in lines.values() for count in xs]
-    wanted = ([min(counts), max(counts)], [accuracy_arcmin, accuracy_arcmin])
-    caption = "Points: median over the eye box and the field of view; bars: up to 95 % of it, which shall be as wanted."
+    wanted = ([min(counts) - 0.5, max(counts) + 0.5], [accuracy_arcmin, accuracy_arcmin])  # a line for one count, too
+    caption = (
+        "Points: median over the eye box and the field of view. Bars end at the error of 95 % of it, which should lie "
+        "below the wanted one."
+    )
     axes = ("camera places", "registration error (arcmin)")
     plot = curves("Predicted error by number of camera places", lines | {"wanted": wanted}, axes, caption=caption)
     bars = [
@@ -207,8 +210,8 @@ def _gains(search: DesignSearch) -> list[tuple[float, str, float]]:
 def _advice(search: DesignSearch) -> list[str]:
     steps = [
         "Drive the stage to the places of places.csv, measured from the centre of the eye box.",
-        "Turn the board by 90 degrees in its plane at one of its poses: its printing errors turn with it, and what the "
-        "optics bend does not.",
+        "Turn the board by 90 degrees in its plane at one of its poses: its printing errors turn with it, errors of "
+        "the optics do not.",
     ]
     gains = [each for each in _gains(search) if each[0] > _WORTH]
     if not gains:
