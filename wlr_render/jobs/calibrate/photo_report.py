@@ -23,6 +23,7 @@ from wlr_render.lenses.residual_lens import RESIDUAL, ResidualLens
 from wlr_render.report.blocks import Block, Cell, Columns, Estimate, Number, Picture, ReportTable, Section, table
 
 _ACROSS = 6  # number of small pictures side by side
+_NAMED = 1e-4  # share of the picture above which a table names a reason of rejection
 
 
 def headline(found: SessionCalibration) -> str:
@@ -134,7 +135,7 @@ def _decoded_table(session: PhotoSession, reading: Reading) -> ReportTable:
                 if reason > Rejection.DARK
             }
         )
-        most = [f"{name} {100 * part:.2g} %" for name, part in rejected.most_common(2) if part > 0]
+        most = [f"{name} {100 * part:.2g} %" for name, part in rejected.most_common(2) if part > _NAMED]
         name = session.name_of(each.folder)
         rows.append([name, 100 * float(share[0]), 100 * covered, len(panel.samples), ", ".join(most) or "-"])
     columns = ["set", "decoded (% of picture)", "panel's box seen (%)", "samples", "main rejections, except dark"]
