@@ -185,9 +185,9 @@ def _tables(found: BenchPrediction) -> Iterator[Block]:
         "variance of the stated noise (point_sigma_px, or sigma_px of each reading); 1 is noise alone. No value is "
         "fitted.",
         "With measured noise and repeatability: reduced chi-squared against the noise within the photographs, without "
-        "the small motions of the camera from capture to capture, whose sizes are the repeatability.",
+        "the small motions of the camera from capture to capture. Shift and turn: their sizes, the repeatability.",
     )
-    sizes = {"repeatability (um)": "shift_um", "repeatability of turns (urad)": "turn_urad"}
+    sizes = {"shift (um)": "shift_um", "turn (urad)": "turn_urad"}
     yield table("Parts", found.parts, {**_columns("part", found), **sizes}, notes)
     if found.distances:
         yield table("Distances of the target from the camera", found.distances, _columns("distance", found))
