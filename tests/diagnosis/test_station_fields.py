@@ -71,16 +71,27 @@ def magnified_red(bench: Bench, plan: SessionPlan) -> Readings:
     return replace(read, panel_pixel=read.panel_pixel + beside(off))
 
 
+def imaged_off(bench: Bench, plan: SessionPlan, off: Callable[[FloatArray, FloatArray], FloatArray]) -> Readings:
+    """Points are imaged off by a function of camera pixels and time, in both parts."""
+    shown, seen = present(plan.display), present(plan.see_through)
+    ideal = shown.camera_pixel - off(shown.camera_pixel, shown.time_s)
+    read = simulate(bench, replace(plan, display=replace(shown, camera_pixel=ideal)))
+    dots = present(read.dot_pixel)
+    return replace(read, dot_pixel=dots + off(dots, seen.time_s))
+
+
 def lens(bench: Bench, plan: SessionPlan) -> Readings:
     """Waves over the camera's image, as of a lens that is not radial."""
+    return imaged_off(bench, plan, lambda pixel, _: 0.4 * beside(wave(pixel[:, 0], 700) * wave(pixel[:, 1], 600)))
 
-    def off(pixel: FloatArray | None) -> FloatArray:
-        return 0.4 * beside(wave(present(pixel)[:, 0], 700) * wave(present(pixel)[:, 1], 600))
 
-    shown = present(plan.display)
-    imaged = replace(plan, display=replace(shown, camera_pixel=shown.camera_pixel - off(shown.camera_pixel)))
-    read = simulate(bench, imaged)
-    return replace(read, dot_pixel=present(read.dot_pixel) + off(read.dot_pixel))
+def breathing(bench: Bench, plan: SessionPlan) -> Readings:
+    """The lens magnifies more and less by one part in a thousand, as its temperature swings with the room's."""
+
+    def off(pixel: FloatArray, time_s: FloatArray) -> FloatArray:
+        return 1e-3 * wave(time_s[:, None], 1300.0) * (pixel - [640.0, 512.0])
+
+    return imaged_off(bench, plan, off)
 
 
 def at_stage(bench: Bench, plan: SessionPlan, error: Callable[..., Any]) -> Readings:
@@ -130,6 +141,7 @@ EFFECTS = [
     (fringes, "panel", "panel pixels"),
     (magnified_red, "panel", "panel pixels and colour"),
     (lens, "camera", "camera pixels"),
+    (breathing, "camera", "camera pixels and time"),
     (screw, "stage", "stage readings"),
     (hump, "stage", "stage readings"),
     (swing, "time", "time"),
@@ -298,6 +310,20 @@ def test_a_cause_elsewhere_keeps_its_name_where_nothing_drifts(bench: Bench, pla
     still = at_stage(bench, plan, lambda table: [0.0, 0.0, 6e-5])
     alone = contest(bench, plan, still, explanation(camera_pupil_offset=[0.0, 0.0, 0.06]))
     assert alone.odds_of_cause(0, "camera", alone.located(2.0))[0] > 2
+
+
+@pytest.mark.slow
+def test_a_clock_that_runs_apart_is_an_effect_of_the_time(bench: Bench, run_time: SessionPlan) -> None:
+    """The picture is later and later, by 3 ms at the end of the recording."""
+    late = np.linspace(0.0, 1.0, len(present(run_time.run_time)))[:, None]
+    first, last = (measured(bench, run_time, latency=[each]).session.readings.run_time_pixel for each in (0.0, 3.0))
+    observations = measured(bench, run_time, SIGMA_PX, seed=2)
+    noise = present(observations.session.readings.run_time_pixel) - present(first)
+    pixel = (1.0 - late) * present(first) + late * present(last) + noise
+    readings = weighed(with_readings(observations, run_time_pixel=pixel))
+    (effect,) = of_fields(readings, fitted(readings.observations, Explanation())).located(2.0)
+    assert (effect.field.station, effect.field.form, effect.field.unit) == ("time", "delay", "ms")
+    assert effect.log10_odds > 4
 
 
 @pytest.mark.slow

@@ -110,6 +110,7 @@ RUN_TIME_KINDS = {
     ("eye tracking", "pupil by pupil"): EffectKind("tracked pupil x, y, z, m", _AS_IS, PUPIL, (_MM, _MM, _MM)),
     ("eye tracking", "pupil by gaze"): EffectKind("tangents of the gaze right and up", _PX, PUPIL, (_MM, _MM, _MM)),
     ("time", "picture"): EffectKind("time, s", (1.0,), TURN, _MRAD),
+    ("time", "delay"): EffectKind("time, s", (1.0,), LATE, (1e-3,)),
 }
 """Kinds of a run-time session; all axes are the device's."""
 

@@ -117,6 +117,7 @@ def places_by_plan(plan: RunTimePlan, pixel: FloatArray) -> dict[tuple[str, str]
         ("eye tracking", "pupil by pupil"): plan.viewpoint,
         ("eye tracking", "pupil by gaze"): tangents_of_dir(plan.gaze),
         ("time", "picture"): plan.time_s[:, None],
+        ("time", "delay"): plan.time_s[:, None],
     }
 
 

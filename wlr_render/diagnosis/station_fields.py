@@ -28,6 +28,9 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, total_degree
 
 _LINE_DEGREES = (1, 2, 5, 10, 16, 24)  # degrees of functions of the row or of the column
+_TIME_DEGREES = (1, 2, 5, 8, 12)
+"""Degrees in time of the camera's pose and of the stretch of its image: equal, because a field that follows faster
+changes would win for that alone."""
 _FEWEST_TIMES = 4  # fewest distinct times that show a drift
 _STEP_M = 1e-5  # finite-difference step of a dot on the target, metres
 _DELAY = changed("clock", "latency_s", lambda old, ms: old + 1e-3 * float(ms[0])), np.array([0.02])
@@ -129,11 +132,18 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     if len(np.unique(time[still])) < _FEWEST_TIMES:
         return
     # A shift of the whole image over time cannot be distinguished from a turn of the camera.
-    orders = np.array([[*pixel, by] for pixel in total_degree(2, 4) if pixel.sum() > 0 for by in (0, 1)])
-    slides = smooth_terms(
-        "camera pixels and time", np.concatenate([place, time], axis=1)[still], 2, 3, 5, orders=orders
-    )
-    yield field_of("camera", "shift of the image", "px", slides, lever[still], still, "shift by time")
+    places = np.concatenate([place, time], axis=1)[still]
+    for form, orders, degrees in (
+        ("shift of the image", _with_time(4, 1), (2, 3, 5)),
+        ("stretch of the image over time", _with_time(1, _TIME_DEGREES[-1]), [1 + each for each in _TIME_DEGREES]),
+    ):
+        terms = smooth_terms("camera pixels and time", places, *degrees, orders=orders)
+        yield field_of("camera", form, "px", terms, lever[still], still, "shift by time")
+
+
+def _with_time(of_pixel: int, of_time: int) -> IntArray:
+    """Return orders (t, 3) of polynomials of the camera pixel, without a constant, times polynomials of the time."""
+    return np.array([[*at, by] for at in total_degree(2, of_pixel) if at.sum() > 0 for by in range(of_time + 1)])
 
 
 def _stage_fields(readings: WeighedReadings, like: Sequence[StationField]) -> Iterator[StationField]:
@@ -165,7 +175,7 @@ def _time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     if panel.any() and len(np.unique(time[panel])) >= _FEWEST_TIMES:
         terms = smooth_terms("time", time[panel], 2, 5, 10, 16).varying()
         yield field_of("time", "shift of the panel", "panel px", terms, _panel_lever(observations), panel, "shift")
-    terms = smooth_terms("time", time[still], 1, 2, 5, 8, 12).varying()
+    terms = smooth_terms("time", time[still], *_TIME_DEGREES).varying()
     yield field_of("time", "pose of the camera", _POSE_UNIT, terms, motions[still], still, "pose")
 
 
@@ -226,6 +236,7 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
         ("eye tracking", "pupil by pupil", "tracked pupil", "place of the pupil", "mm", pupil, (1, 2, 3)),
         ("eye tracking", "pupil by gaze", "direction of gaze", "place of the pupil", "mm", pupil, (1, 2, 3, 4, 6, 8)),
         ("time", "picture", "time", "turn of the picture", "mrad", turn, (2, 5, 10, 16, 24)),
+        ("time", "delay", "time", "delay", "ms", delay, (1, 2, 5, 10, 16, 24)),
     ):
         terms = smooth_terms(coordinates, places[station, displaces], *degrees)
         yield field_of(station, form, unit, terms, lever, rows, displaces)
