@@ -15,7 +15,7 @@ def floor(part: str, measured: float = 0.108, error: float = 0.001, **shape: Any
 
 
 def sentence(floors: tuple[Any, ...], motions: tuple[MotionSize, ...] = ()) -> str:
-    record = SimpleNamespace(noise_floors=floors, motions=motions, verdict="explained")
+    record = SimpleNamespace(noise_floors=floors, motions=motions, unexplained_parts=())
     return bench_sentence(cast(DiagnosisRecord, record))  # it takes nothing else from a record
 
 

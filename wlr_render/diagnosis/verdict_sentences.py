@@ -8,7 +8,6 @@ import numpy as np
 
 from wlr_render.bench.bench_file import WRITTEN_FRAME, changed_keys
 from wlr_render.diagnosis.diagnosis import (
-    EXPLAINED,
     NO_EFFECT,
     PARTLY,
     DegenerateCause,
@@ -149,18 +148,11 @@ def bench_sentence(diagnosis: DiagnosisRecord) -> str:
 
 
 def undetermined_parts(diagnosis: DiagnosisRecord) -> set[str]:
-    """Return the parts with an unexplained residual that exceeds noise and repeatability of the usual size.
+    """Return the parts with an unexplained residual.
 
     The fit attributes that residual to motions of the captures, so that their size is not the repeatability.
     """
-    if diagnosis.verdict in (NO_EFFECT, EXPLAINED):
-        return set()
-    scatter = diagnosis.fit.scatter
-    return {
-        floor.part
-        for floor in diagnosis.noise_floors
-        if not scatter.is_ordinary(PART_NAMES.index(floor.part), diagnosis.settings.material_excess)
-    }
+    return {each.part for each in diagnosis.unexplained_parts}
 
 
 def _repeatability(motion: MotionSize) -> str:
@@ -307,6 +299,9 @@ def _about_effect(effect: StationEffect) -> list[str]:
         steps.append(
             "Until it is found, render with models fitted to the session (`calibrate`): they absorb fixed errors of "
             "the headset."
+            if effect.form == "smooth"
+            else "Models fitted to the session (`calibrate`) are too smooth to follow it: until it is found, pictures "
+            "drawn with them have its error at that place, and their predicted error does not contain it."
         )
     return steps
 
