@@ -44,7 +44,7 @@ class ErrorSource(StrEnum):
     )
     VISITS = "errors of each visit", "Let the stage settle before each photograph."
     DRIFT = "drift", "Let camera and headset warm up, and visit the positions in random order."
-    STAGE_AXES = "stage axes", "Measure the errors of that axis, or track the camera."
+    STAGE_AXES = "stage axes", "Measure the errors of the stage along its axes, or track the camera."
     TRAVEL = "direction of travel", "Approach all positions from one side."
     FIELD = (
         "errors by place in the field",
