@@ -16,7 +16,7 @@ FRAMES = {"openxr": np.eye(3), "opencv": OPENXR_FROM_OPENCV}
 
 def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
     """Return the rigid transforms (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
-    rotation, translation = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
+    rotation, translation = np.asarray(rotation), np.asarray(translation)
     shape: tuple[int, ...] = ()
     if rotation.ndim > 2 or translation.ndim > 1:
         shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])

@@ -106,7 +106,7 @@ class _Uniforms:
     def __init__(self) -> None:
         self._handles: dict[str, Any] = {}
         self._written: dict[str, object] = {}
-        self.has_units = False  # whether the samplers have their texture units
+        self.has_arrays: bool | None = None  # whether samplers are in arrays; None until they have texture units
 
     @staticmethod
     def of(program: Any) -> "_Uniforms":
@@ -160,14 +160,15 @@ def bind_textures(program: Any, **textures: Any) -> None:
     Call it in a drawing block, and bind textures of these units in no other way: a texture that is already on its unit
     is not bound again.
     """
-    uniforms = _Uniforms.of(program)
-    of_units: list[Any] = []
-    for name, given in textures.items():
-        several = given if isinstance(given, list) else [given]
-        if not uniforms.has_units:
-            uniforms.set(program, {name: list(range(len(of_units), len(of_units) + len(several)))})
-        of_units += several
-    uniforms.has_units = True
+    uniforms, of_units = _Uniforms.of(program), list(textures.values())
+    if uniforms.has_arrays is None:
+        uniforms.has_arrays, unit = any(isinstance(given, list) for given in of_units), 0
+        for name, given in textures.items():
+            units = list(range(unit, unit + (len(given) if isinstance(given, list) else 1)))
+            uniforms.set(program, {name: units})
+            unit += len(units)
+    if uniforms.has_arrays:
+        of_units = [each for given in of_units for each in (given if isinstance(given, list) else (given,))]
     _units_of(program.ctx).bind(of_units)
 
 

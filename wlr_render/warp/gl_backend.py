@@ -273,11 +273,14 @@ class GlBackend:
         """Return a block in which the backend may be called."""
         return self.context.working()
 
+    def together(self) -> AbstractContextManager[object]:
+        """Return a block in which several eyes are composed, by one dispatch of each shader if the context computes."""
+        return self._together() if self.context.computes else contextlib.nullcontext()
+
     @contextlib.contextmanager
-    def together(self) -> Iterator[None]:
-        """Open a block in which several eyes are composed, by one dispatch of each shader if the context computes."""
+    def _together(self) -> Iterator[None]:
         try:
-            with self.context.dispatches.together() if self.context.computes else contextlib.nullcontext():
+            with self.context.dispatches.together():
                 yield
         except BaseException:
             for eye in self.eyes.values():
