@@ -10,6 +10,7 @@ from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.calibration.photograph_captures import dot_inliers, outliers
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
+from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.optics.device_file import load_device
@@ -72,6 +73,20 @@ def test_few_places_raise_no_false_alarm(captures: BothCaptures, places: int) ->
     display, _ = captures
     few = select(display, display.capture < places)
     assert outliers(few, few.capture, fit_display) == {}
+
+
+def test_strong_optics_from_few_places_raise_no_false_alarm() -> None:
+    """Sharp photographs show what a smooth model of nine places lacks, which looks like motions of single cameras."""
+    truth = traced_eye(load_device("birdbath28"), "right")
+    setup = CaptureSetup(truth, 0.005, 7e-6, grid=(16, 12), stage_turn_rad=12e-6)
+    places = viewpoints.planar(truth.eye_box, 1.3 * setup.field.reach, 9)
+    motion = CaptureMotionPrior(np.arange(9), np.tile(np.repeat([12e-6, 7e-6], 3), (9, 1)), 0.2)
+    display = replace(simulate_display(setup, places, np.random.default_rng(0)), motion=motion)
+    assert outliers(display, display.capture, fit_display) == {}
+    assert fit_display(display).smooth.moved == ()
+    # A motion far beyond what the model lacks is found from nine places, too.
+    moved = moved_by(display, display.capture == 4, [0.003, 0.0, 0.0])
+    assert set(outliers(moved, moved.capture, fit_display)) == {4}
 
 
 @one_device

@@ -123,6 +123,7 @@ class FitReport:
         labels: errors shared by readings of a dot, visit, time and so on, beyond the fit; empty for exact data.
         shares: contributions to `predicted_arcmin`, the largest first.
         unseen: errors that `predicted_arcmin` omits, because the captures lack the data to estimate them.
+        unsure: captures that may have moved, or the optics are less smooth than the model; the fit uses them.
     """
 
     kind: str
@@ -149,6 +150,7 @@ class FitReport:
     labels: tuple[LabelError, ...] = ()
     shares: tuple[ErrorShare, ...] = ()
     unseen: tuple[str, ...] = ()
+    unsure: tuple[CaptureMotion, ...] = ()
 
     @property
     def held_out_arcmin(self) -> tuple[float, float] | None:
@@ -224,6 +226,7 @@ class ModelFit(Generic[AnyModel]):
             labels=self.labels,
             shares=self._shares(),
             unseen=unseen_errors(captures) if stated is not None else (),
+            unsure=smooth.unsure,
         )
 
     @cached_property

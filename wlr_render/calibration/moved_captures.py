@@ -1,5 +1,6 @@
 """Camera motions: fitted versus stated sizes, and odds that a camera moved by more than a stage's repeatability."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -11,8 +12,11 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.usual import STAGE_REPEATABILITY_M, STAGE_TURN_RAD
 
 _TIMES_USUAL = (1.0, 5.0, 20.0, 100.0, 500.0)  # sizes of a moved camera's shift and turn, in usual sizes
+_SMOOTH_TIMES_USUAL = (1.0, 10.0, 100.0, 1e3, 1e4)  # sizes of smooth motions, up to the largest plausible ones
+_SMOOTH_LENGTHS = (0.5, 1.0, 2.0, 4.0, 8.0)  # correlation lengths of smooth motions, in extents of the places
+_NEGLIGIBLE = 1e-6  # share of the largest variance below which a smooth function is left out
 _SHARE_THAT_MOVES = 0.03  # prior share of captures that move, an assumption as in diagnosis
-_SUSPECT_LOG10_ODDS, _LEAST_LOG10_ODDS = 0.0, 2.0  # log10 odds for a test by the other captures, and for a report
+_SUSPECT_LOG10_ODDS, _LEAST_LOG10_ODDS = -2.0, 2.0  # log10 odds for a test by the other captures, and for exclusion
 _MEDIAN_OF_THREE = 1.538  # median length of three standard normal numbers
 _MOVED_M, _MOVED_RAD = 5e-5, 2e-4  # bounds on an ordinary stage's motion: about 20 usual sizes, 2.5 sigmas
 _PLAUSIBLE_M, _PLAUSIBLE_RAD = 0.03, 0.1  # largest plausible motions of a camera on a stage
@@ -46,8 +50,13 @@ class CaptureMotion:
 
     @property
     def stands_out(self) -> bool:
-        """True if the odds that the camera moved are high enough to report it."""
+        """True if the odds that the camera moved are high enough to leave its capture out."""
         return self.is_suspect and self.log10_odds > _LEAST_LOG10_ODDS
+
+    @property
+    def is_unsure(self) -> bool:
+        """True if the camera more likely moved than not, at odds too low to leave its capture out."""
+        return self.is_suspect and 0.0 < self.log10_odds <= _LEAST_LOG10_ODDS
 
 
 @dataclass(frozen=True)
@@ -92,26 +101,89 @@ def usual_motion(readings: FitReadings, factors: FloatArray, motion: FloatArray,
 
 
 def moved_odds(
-    motion: FloatArray, covariance: FloatArray, size: FloatArray, usual: FloatArray
-) -> tuple[float, FloatArray]:
-    """Return the log10 odds that a camera moved more than usual, and the most probable motion (6,) in this case.
+    motion: FloatArray, covariance: FloatArray, size: FloatArray, usual: FloatArray, place: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return log10 odds (captures,) that each camera moved more than usual, and the likeliest motions (captures, 6).
+
+    Optics that are less smooth than the fit look like motions that vary smoothly over the place. Size and length of
+    such motions are averaged over, with and without a moved camera: if the places are too few to distinguish both, the
+    odds are low.
 
     Args:
-        motion: (6,) posterior mean. covariance: (6, 6) posterior covariance.
-        size: (6,) prior sizes used in the posterior.
-        usual: (6,) motion sizes of a camera that did not move.
+        motion: (captures, 6) posterior mean.
+        covariance: (6 * captures, 6 * captures) posterior covariance.
+        size: (captures, 6) prior sizes used in the posterior.
+        usual: (captures, 6) motion sizes of cameras that did not move.
+        place: (captures, variables) places of the captures.
     """
-    mean, within = motion / usual, covariance / usual / usual[:, None]
-    within = within + 1e-9 * np.diag(np.diag(within))
-    precision = np.linalg.inv(within)
-    pull, information = precision @ mean, precision - np.diag((usual / size) ** 2)
     scale = np.repeat(list(product(_TIMES_USUAL, repeat=2)), 3, axis=1)
-    normal = np.eye(6) + scale[:, :, None] * (0.5 * (information + information.T)) * scale[:, None]
-    values, axes = np.linalg.eigh(normal)
+    still, moved, most, likeliest = [], [], np.full(len(motion), -np.inf), motion
+    for evidence, mean, within in _own_motions(motion, covariance, size, usual, place):
+        logs, means = _by_scale(mean, within, size, usual, scale)
+        still.append(evidence + logs[:, 0])
+        moved.append(evidence + np.logaddexp.reduce(logs[:, 1:], axis=1) - np.log(len(scale) - 1))
+        best = 1 + np.argmax(logs[:, 1:], axis=1)
+        height = evidence + np.take_along_axis(logs, best[:, None], axis=1)[:, 0]
+        means = means[np.arange(len(best)), best]
+        likeliest, most = np.where((height > most)[:, None], means, likeliest), np.maximum(height, most)
+    odds = np.logaddexp.reduce(moved) - np.logaddexp.reduce(still) + np.log(_SHARE_THAT_MOVES)
+    return odds / np.log(10.0), likeliest
+
+
+def _own_motions(
+    motion: FloatArray, covariance: FloatArray, size: FloatArray, usual: FloatArray, place: FloatArray
+) -> Iterator[tuple[float, FloatArray, FloatArray]]:
+    """Yield posteriors of the motions beside smooth motions of each size and length, first without smooth motions.
+
+    Each is the log evidence relative to the first, the mean (captures, 6) and the captures' covariances (captures, 6,
+    6). Arguments are those of `moved_odds`.
+    """
+    blocks = 6 * np.arange(len(motion))[:, None] + np.arange(6)
+    within = covariance[blocks[:, :, None], blocks[:, None]]
+    yield 0.0, motion, within
+    unit = np.repeat([np.sqrt(np.mean(usual[:, part] ** 2)) for part in (SHIFT, TURN)], 3)
+    precision = size.ravel() ** -2.0
+    extent = max(float(np.ptp(place, axis=0).max()), 1e-300)
+    square = np.sum((place[:, None] - place) ** 2, axis=2) / extent**2
+    for length in _SMOOTH_LENGTHS:
+        variance, functions = np.linalg.eigh(np.exp(-0.5 * square / length**2))
+        used = variance > _NEGLIGIBLE * variance[-1]
+        smooth = np.kron(functions[:, used] * np.sqrt(variance[used]), np.diag(unit))
+        # The readings know the sum of own and smooth motions, and the posterior has attributed it to the own ones.
+        left = smooth - covariance @ (precision[:, None] * smooth)
+        pull, information = smooth.T @ (precision * motion.ravel()), smooth.T @ (precision[:, None] * left)
+        for times in product(_SMOOTH_TIMES_USUAL, repeat=2):
+            by = np.tile(np.repeat(times, 3), int(used.sum()))
+            normal = np.eye(len(by)) + by[:, None] * (0.5 * (information + information.T)) * by
+            values, axes = np.linalg.eigh(normal)
+            values = np.maximum(values, 1.0)  # smaller values are rounding errors
+            half = (by * pull) @ axes / np.sqrt(values)
+            by_capture = ((left * by) @ axes / np.sqrt(values)).reshape(len(motion), 6, -1)
+            evidence = 0.5 * float(half @ half - np.log(values).sum())
+            yield evidence, motion - by_capture @ half, within + by_capture @ by_capture.transpose(0, 2, 1)
+
+
+def _by_scale(
+    motion: FloatArray, within: FloatArray, size: FloatArray, usual: FloatArray, scale: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the log evidence (captures, scales) of motions of other sizes, and their means (captures, scales, 6).
+
+    The evidence is relative to motions of size `size`.
+
+    Args:
+        motion, size, usual: as in `moved_odds`. within: (captures, 6, 6) posterior covariance.
+        scale: (scales, 6) motion sizes in usual sizes.
+    """
+    mean, within = motion / usual, within / usual[:, :, None] / usual[:, None]
+    within = within + 1e-9 * within * np.eye(6)
+    precision = np.linalg.inv(within)
+    information = precision - (usual / size)[:, :, None] ** 2 * np.eye(6)
+    scales = np.concatenate([np.broadcast_to(scale, (len(size), *scale.shape)), (size / usual)[:, None]], axis=1)
+    pull = scales * np.einsum("cij,cj->ci", precision, mean)[:, None]
+    information = 0.5 * (information + information.transpose(0, 2, 1))
+    values, axes = np.linalg.eigh(np.eye(6) + scales[..., None] * information[:, None] * scales[:, :, None])
     values = np.maximum(values, 1.0)  # smaller values are rounding errors
-    along = np.einsum("pki,pk->pi", axes, scale * pull)
-    logs = 0.5 * (np.sum(along**2 / values, axis=1) - np.log(values).sum(axis=1))
-    means = usual * scale * np.einsum("pki,pi->pk", axes, along / values)
-    moved = float(np.logaddexp.reduce(logs[1:])) - np.log(len(logs) - 1)
-    odds = float((moved - logs[0] + np.log(_SHARE_THAT_MOVES)) / np.log(10.0))
-    return odds, means[1 + int(np.argmax(logs[1:]))]
+    along = np.einsum("cpki,cpk->cpi", axes, pull)
+    logs = 0.5 * (np.sum(along**2 / values, axis=2) - np.log(values).sum(axis=2))
+    means = usual[:, None] * scales * np.einsum("cpki,cpi->cpk", axes, along / values)
+    return logs[:, :-1] - logs[:, -1:], means[:, :-1]

@@ -53,6 +53,7 @@ class SmoothFit:
             stated by the user.
         of_labels: errors by label in addition to the fitted errors; None without a search for them.
         others: sources of the other model's errors by label, before and after this model's sources.
+        unsure: captures that may have moved, or the optics are less smooth than the model; they keep their weights.
         prior: prior of coefficients and motions.
         columns: (n, 2, 6) change of the readings by the motions; None if no motions are modelled.
         start: the free part, which is subtracted in the sums.
@@ -73,6 +74,7 @@ class SmoothFit:
     beyond: FloatArray | None = None
     of_labels: Response | None = None
     others: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+    unsure: tuple[CaptureMotion, ...] = ()
 
     @property
     def noise(self) -> float:

@@ -128,12 +128,15 @@ def fit(
     if weights is not None:
         gone = np.setdiff1d(readings.capture, readings.capture[weights > 0])
         smooth = replace(smooth, moved=tuple(CaptureMotion(int(name), 0.0, 0.0, 0.0, 0.0) for name in gone))
-        return replace(smooth, moved=tuple(_suspects(smooth)[1].values()))
+        kept = np.where(np.isin(readings.capture, gone), 1.0, smooth.kept)
+        return replace(smooth, moved=tuple(_suspects(smooth, kept)[1].values()))
     if moved:
         return _without_moved(search, smooth)
-    if not any(each.stands_out for each in _suspects(smooth)[0].values()):
+    others, _ = _suspects(smooth, smooth.kept)
+    if not others:
         return smooth
-    if readings.trend is None:  # low orders cannot follow a large motion; high orders find smaller ones
+    is_likely = any(each.log10_odds > 0.0 for each in others.values())
+    if is_likely and readings.trend is None:  # low orders cannot follow a large motion; high orders find smaller ones
         few = readings.orders.sum(axis=1) <= _FEW_ORDERS
         coarse = replace(search, readings=replace(readings, orders=readings.orders[few]))
         smooth = search.without(_without_moved(coarse, coarse.without((), smooth)).moved, smooth)
@@ -143,28 +146,55 @@ def fit(
 def _without_moved(search: "_Search", smooth: SmoothFit) -> SmoothFit:
     """Return the fit without all captures that moved, from a fit without some of them."""
     captures, rejections = len(np.unique(search.readings.capture)), Counter[int]()
-    most = int(_MOST * captures)
+    most, beside = int(_MOST * captures), {each.capture: each.log10_odds for each in smooth.moved}
+    kept, tested = np.ones(len(smooth.kept)), dict[int, CaptureMotion]()
+    fits, more = {frozenset(beside): smooth}, tuple[CaptureMotion, ...]()
+
+    def without(gone: tuple[CaptureMotion, ...]) -> SmoothFit:
+        names = frozenset(each.capture for each in gone)
+        if names not in fits:
+            fits[names] = search.without(gone, smooth)
+        return fits[names]
+
     for round_ in range(_ROUNDS_OF_MOTIONS):
-        others, judged = _suspects(smooth)
+        out = np.isin(smooth.readings.capture, [each.capture for each in smooth.moved])
+        kept = np.where(out, kept, smooth.kept)
+        others, judged = _suspects(smooth, kept)
+        # The hyperparameters of a fit with the capture favour that it did not move, without it that it did. The mean of
+        # both odds is, to second order, the odds with the most probable hyperparameters of either case. Odds that the
+        # other captures alone do not confirm are due to hyperparameters of other terms.
+        beside |= {name: each.log10_odds for name, each in others.items()}
+        judged = {
+            name: replace(each, log10_odds=min(each.log10_odds, 0.5 * (each.log10_odds + beside[name])))
+            for name, each in judged.items()
+        }
+        fresh = {each.capture for each in more}
+        if fresh and not any(judged[name].stands_out for name in fresh):  # the others were judged better with them
+            judged |= {name: tested[name] for name in judged.keys() & tested.keys() - fresh}
+        tested |= judged
         rejections.update(name for name, each in judged.items() if not each.stands_out)
         moved = tuple(each for each in judged.values() if each.stands_out)
         # A capture that moved makes others seem to have moved: the clearest are rejected first, and some come back. One
-        # that came back is rejected again only if it is clear, and not after it came back twice.
-        least = _NEAR_CLEAREST * max((each.log10_odds for each in others.values()), default=0.0)
+        # that came back is rejected again only if it is clear, and not after it came back twice. Because a capture that
+        # moved may hide in the hyperparameters, the clearest is tested even at low odds.
+        clearest = max((each.log10_odds for each in others.values()), default=0.0)
+        least = _NEAR_CLEAREST * max(clearest, 0.0) if tested or clearest > 0.0 else clearest
         more = tuple(
             each
             for name, each in others.items()
             if each.log10_odds >= least and rejections[name] <= int(each.stands_out)
         )
         if not more and len(moved) == len(judged):
-            return replace(smooth, moved=moved)
+            break
         if len(moved) + len(more) > most or round_ == _ROUNDS_OF_MOTIONS - 1:
             # If most captures seem to have moved, they contradict each other, and no single capture is the cause.
             clear = len(moved) + sum(each.stands_out for each in others.values())
             moved = moved if clear <= _MOST_THAT_MOVE * captures else ()
             break
-        smooth = search.without(moved + more, smooth)
-    return replace(smooth, moved=moved) if len(moved) == len(judged) else search.without(moved, smooth)
+        smooth = without(moved + more)
+    smooth = without(moved)
+    stay = tested.keys() - {each.capture for each in moved}
+    return replace(smooth, moved=moved, unsure=tuple(tested[name] for name in sorted(stay) if tested[name].is_unsure))
 
 
 @dataclass(frozen=True)
@@ -304,10 +334,14 @@ def _with_terms_beyond(readings: FitReadings) -> FitReadings:
     return wider.within(readings.box)
 
 
-def _suspects(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, CaptureMotion]]:
-    """Return captures that may have moved, and captures left out before, tested against the others, by index."""
+def _suspects(smooth: SmoothFit, kept: FloatArray) -> tuple[dict[int, CaptureMotion], dict[int, CaptureMotion]]:
+    """Return captures that may have moved, and captures left out before, tested against the others, by index.
+
+    Args:
+        smooth: a fit.
+        kept: (n,) weights of the readings, from 1 to 0 for outliers, with those of captures that are left out.
+    """
     readings, out = smooth.readings, [each.capture for each in smooth.moved]
-    kept = np.where(np.isin(readings.capture, out), 1.0, smooth.kept)
     offset = np.log(motion_sizes(readings))
     columns, judge = motion_columns(readings, smooth.polynomial), _with_terms_beyond(readings)
     still = smooth.sums if judge is readings and not out else None
@@ -319,14 +353,13 @@ def _suspects(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, Ca
     size = np.exp(offset) * factors
     usual = usual_motion(readings, factors, found.group_mean, np.setdiff1d(readings.capture, out))
     off = (readings.observed - readings.values(smooth.polynomial)) * readings.metric[:, None]
+    first, place = found.mixed_mean.size, means_by(readings.capture, readings.inputs[:, readings.is_place])
+    odds, motion = moved_odds(found.group_mean, found.side_covariance[first:, first:], size, usual, place)
     found_of = {}
     for name in map(int, np.unique(readings.capture)):
-        block = found.mixed_mean.size + 6 * name + np.arange(6)
-        covariance = found.side_covariance[np.ix_(block, block)]
-        odds, motion = moved_odds(found.group_mean[name], covariance, size[name], usual[name])
-        shift, turn = (float(np.linalg.norm(motion[part])) for part in (SHIFT, TURN))
+        shift, turn = (float(np.linalg.norm(motion[name, part])) for part in (SHIFT, TURN))
         arcmin = float(np.linalg.norm(off[readings.capture == name].mean(axis=0)))
-        found_of[name] = CaptureMotion(name, shift, turn, arcmin, odds)
+        found_of[name] = CaptureMotion(name, shift, turn, arcmin, float(odds[name]))
     before = {name: found_of.pop(name) for name in out}
     return {name: each for name, each in found_of.items() if each.is_suspect}, before
 

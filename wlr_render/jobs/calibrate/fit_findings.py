@@ -126,13 +126,18 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
     report, found = side.report, []
     names = position_names(side.captures, display_names)
     _, first = np.unique(side.smooth.readings.capture, return_index=True)
-    for each in report.moved:
+    for each in report.moved + report.unsure:
+        conclusion = (
+            "the camera or the headset moved, its entry is wrong, or the optics are less smooth there than the model. "
+            "The model was fitted without them."
+            if each in report.moved
+            else "from so few positions, optics that are less smooth than the model look the same. The model was "
+            "fitted with them; take this capture again, or add positions beside it."
+        )
         found.append(
             f"{title}: the readings of {names[first[each.capture]]} lie as if its camera had stood "
             f"{_digits(1e6 * each.shift_m)} um and {_digits(1e6 * each.turn_rad)} microradians from where it is "
-            f"stated (log10 odds {each.log10_odds:.0f} against noise and an ordinary stage): the camera or the headset "
-            "moved, its entry is wrong, or the optics are less smooth there than the model. The model was fitted "
-            "without them."
+            f"stated (log10 odds {each.log10_odds:.0f} against noise and an ordinary stage): {conclusion}"
         )
     found += _noise_warnings(title, report, sigma_is_given)
     found += _motion_warnings(title, report)
