@@ -16,7 +16,8 @@ _SMOOTH_TIMES_USUAL = (1.0, 10.0, 100.0, 1e3, 1e4)  # sizes of smooth motions, u
 _SMOOTH_LENGTHS = (0.5, 1.0, 2.0, 4.0, 8.0)  # correlation lengths of smooth motions, in extents of the places
 _NEGLIGIBLE = 1e-6  # share of the largest variance below which a smooth function is left out
 _SHARE_THAT_MOVES = 0.03  # prior share of captures that move, an assumption as in diagnosis
-_SUSPECT_LOG10_ODDS, _LEAST_LOG10_ODDS = -2.0, 2.0  # log10 odds for a test by the other captures, and for exclusion
+_SUSPECT_LOG10_ODDS, _UNSURE_LOG10_ODDS, _LEAST_LOG10_ODDS = -2.0, 1.0, 2.0
+"""Log10 odds for a test by the other captures, for a warning, and for exclusion."""
 _MEDIAN_OF_THREE = 1.538  # median length of three standard normal numbers
 _MOVED_M, _MOVED_RAD = 5e-5, 2e-4  # bounds on an ordinary stage's motion: about 20 usual sizes, 2.5 sigmas
 _PLAUSIBLE_M, _PLAUSIBLE_RAD = 0.03, 0.1  # largest plausible motions of a camera on a stage
@@ -55,8 +56,8 @@ class CaptureMotion:
 
     @property
     def is_unsure(self) -> bool:
-        """True if the camera more likely moved than not, at odds too low to leave its capture out."""
-        return self.is_suspect and 0.0 < self.log10_odds <= _LEAST_LOG10_ODDS
+        """True if the camera probably moved, at odds too low to leave its capture out."""
+        return self.is_suspect and _UNSURE_LOG10_ODDS < self.log10_odds <= _LEAST_LOG10_ODDS
 
 
 @dataclass(frozen=True)
