@@ -250,13 +250,9 @@ class GlContext:
             self._compute_programs[key] = self.tracked(self._ctx.compute_shader(for_eyes(text, eyes)))
         return self._compute_programs[key]
 
-    def full_screen_program(self, fragment: str, /, **constants: float) -> Program:
-        """Return the program that runs a fragment shader for each pixel of a target: draw 3 vertices."""
-        return self.program("full_screen.vert", fragment, **constants)
-
     def full_screen(self, fragment: str, /, **constants: float) -> VertexArray:
         """Return a triangle that runs a fragment shader for each pixel of a target: `.render(vertices=3)`."""
-        return self.no_vertices(self.full_screen_program(fragment, **constants))
+        return self.no_vertices(self.program("full_screen.vert", fragment, **constants))
 
     def no_vertices(self, program: Program) -> VertexArray:
         """Return a program that draws from `gl_VertexID` alone: `.render(vertices=n)`; cached for each program."""

@@ -101,26 +101,26 @@ class Pass:
     def __init__(self, context: GlContext, name: str, /, **constants: float) -> None:
         """Compile a compute shader, or a fragment shader without derivatives, of shaders/."""
         self._context, self._name, self._constants = context, name, constants
-        self._programs: dict[bool, ComputeShader | Program] = {}
-        self._program()  # compiled now, so that no frame waits for it
+        self._compiled: dict[bool, ComputeShader | VertexArray] = {}
+        self._shader()  # compiled now, so that no frame waits for it
 
     def fill(self, target: RenderTarget, textures: Mapping[str, Any], **uniforms: Any) -> None:
         """Compute all texels of a target, with `textures` and `uniforms` as of `Dispatch`."""
-        program = self._program()
-        if isinstance(program, ComputeShader):
-            self._context.dispatches.add(Dispatch(program, target.textures, textures, uniforms))
+        shader = self._shader()
+        if isinstance(shader, ComputeShader):
+            self._context.dispatches.add(Dispatch(shader, target.textures, textures, uniforms))
             return
-        bind_textures(program, **textures)
-        set_uniforms(program, **uniforms)
+        bind_textures(shader.program, **textures)
+        set_uniforms(shader.program, **uniforms)
         self._context.draw_to(target.framebuffer)
-        self._context.no_vertices(program).render(vertices=3)
+        shader.render(vertices=3)
 
-    def _program(self) -> ComputeShader | Program:
+    def _shader(self) -> ComputeShader | VertexArray:
         computes = self._context.computes
-        if computes not in self._programs:
-            make = self._context.compute_program if computes else self._context.full_screen_program
-            self._programs[computes] = make(self._name, **self._constants)
-        return self._programs[computes]
+        if computes not in self._compiled:
+            make = self._context.compute_program if computes else self._context.full_screen
+            self._compiled[computes] = make(self._name, **self._constants)
+        return self._compiled[computes]
 
 
 class RenderTargets:

@@ -35,10 +35,11 @@ class PictureImport:
     def __init__(self, context: gl.GlContext) -> None:
         self._context = context
         self._targets = gl.RenderTargets(context)
+        self._drawings: dict[tuple[bool, ...], gl.VertexArray] = {}
         with context.drawing():
             self._given = GivenPictures(context)
             for decodes in (False, True):
-                self._program(decodes, [None, None])
+                self._drawing(decodes, False, False)
             self._samplers = {"srgb": context.plain_sampler(), "linear": context.plain_sampler(decodes=True)}
 
     def take(
@@ -189,14 +190,17 @@ class PictureImport:
 
     def inset_program(self) -> gl.VertexArray:
         """Return the drawing of insets, compiled on first use."""
-        return self._program(False, [None, None], is_inset=True)
+        return self._drawing(False, False, False, is_inset=True)
 
-    def _program(self, decodes: bool, layers: Sequence[int | None], is_inset: bool = False) -> gl.VertexArray:
-        """Return the drawing of pictures with colour and depth in these layers; None for plain textures."""
-        of_layers = dict(
-            zip(("COLOUR_LAYERS", "DEPTH_LAYERS"), (int(each is not None) for each in layers), strict=True)
-        )
-        return self._context.full_screen("import_picture.frag", DECODE=int(decodes), INSET=int(is_inset), **of_layers)
+    def _drawing(
+        self, decodes: bool, colour_in_array: bool, depth_in_array: bool, is_inset: bool = False
+    ) -> gl.VertexArray:
+        key = decodes, colour_in_array, depth_in_array, is_inset
+        if key not in self._drawings:
+            names = "DECODE", "COLOUR_LAYERS", "DEPTH_LAYERS", "INSET"
+            constants = dict(zip(names, map(int, key), strict=True))
+            self._drawings[key] = self._context.full_screen("import_picture.frag", **constants)
+        return self._drawings[key]
 
     def _take(
         self,
@@ -234,7 +238,8 @@ class PictureImport:
         target = self._targets.get(f"picture {formats}", colour.size_px, *formats)
         self._context.draw_to(target.framebuffer)
         decodes = codes and not in_bytes
-        drawing = self._program(decodes and inset is None, [colour.layer, depth.layer], inset is not None)
+        in_arrays = colour.layer is not None, depth.layer is not None
+        drawing = self._drawing(decodes and inset is None, *in_arrays, inset is not None)
         program = drawing.program
         textures = {"stored_colour": colour.texture, "stored_depth": depth.texture}
         if inset is not None:
