@@ -179,12 +179,12 @@ def _by_scale(
     within = within + 1e-9 * within * np.eye(6)
     precision = np.linalg.inv(within)
     information = precision - (usual / size)[:, :, None] ** 2 * np.eye(6)
+    values, axes = np.linalg.eigh(0.5 * (information + information.transpose(0, 2, 1)))
+    # Negative values are rounding errors.
+    information = (axes * np.maximum(values, 0.0)[:, None]) @ axes.transpose(0, 2, 1)
     scales = np.concatenate([np.broadcast_to(scale, (len(size), *scale.shape)), (size / usual)[:, None]], axis=1)
     pull = scales * np.einsum("cij,cj->ci", precision, mean)[:, None]
-    information = 0.5 * (information + information.transpose(0, 2, 1))
-    values, axes = np.linalg.eigh(np.eye(6) + scales[..., None] * information[:, None] * scales[:, :, None])
-    values = np.maximum(values, 1.0)  # smaller values are rounding errors
-    along = np.einsum("cpki,cpk->cpi", axes, pull)
-    logs = 0.5 * (np.sum(along**2 / values, axis=2) - np.log(values).sum(axis=2))
-    means = usual[:, None] * scales * np.einsum("cpki,cpi->cpk", axes, along / values)
-    return logs[:, :-1] - logs[:, -1:], means[:, :-1]
+    normal = np.eye(6) + scales[..., None] * information[:, None] * scales[:, :, None]
+    own = np.linalg.solve(normal, pull[..., None])[..., 0]
+    logs = 0.5 * (np.sum(pull * own, axis=2) - np.linalg.slogdet(normal)[1])
+    return logs[:, :-1] - logs[:, -1:], (usual[:, None] * scales * own)[:, :-1]

@@ -192,7 +192,8 @@ def test_a_stage_of_one_axis(tmp_path: Path) -> None:
     session = replace(with_known_lenses(made), eyeball_camera=eyeball)
     found, report = calibrated(session, made.reading, tmp_path)
     assert_poses(found, made.session.display, made.truth.display)
-    assert any("add a column of" in step for step in report.advice)
+    assert present(found.eyes["right"].fit.display).report.moved == ()  # nine positions, none of which moved
+    assert any("camera positions at" in step for step in report.advice)
 
 
 def in_the_hand(made: SimulatedReadings) -> tuple[PhotoSession, Reading]:
