@@ -10,6 +10,7 @@ import pytest
 from wlr_render.gl import gl
 from wlr_render.gl.context import GlContext
 from wlr_render.gl.dispatches import Dispatch
+from wlr_render.gl.programs import UNITS, for_eyes
 from wlr_render.io import atomic_files
 
 
@@ -129,3 +130,13 @@ def test_a_computed_pass_writes_outputs_of_every_type(
         target = gl_context.target((3, 2), len(texel), dtype)
         gl_context.dispatches.add(Dispatch(gl_context.compute_program(shader.name), [target], {}, {}))
         assert (gl.read(target, dtype).reshape(6, -1) == texel).all()
+
+
+def test_a_uniform_that_all_eyes_would_share_is_refused() -> None:
+    with pytest.raises(ValueError, match="uniform vec2 a, b"):
+        for_eyes("#version 430\nuniform vec2 a, b;\nvoid main() {}\n", 2)
+
+
+@pytest.mark.gl
+def test_textures_are_written_on_a_unit_that_no_shader_reads(gl_context: GlContext) -> None:
+    assert gl_context.texture_unit == UNITS - 1 >= 2 * 14  # 14 textures for each of two eyes

@@ -123,7 +123,7 @@ class FitReport:
         labels: errors shared by readings of a dot, visit, time and so on, beyond the fit; empty for exact data.
         shares: contributions to `predicted_arcmin`, the largest first.
         unseen: errors that `predicted_arcmin` omits, because the captures lack the data to estimate them.
-        unsure: captures that may have moved, or the optics are less smooth than the model; the fit uses them.
+        unsure: captures whose camera moved, or where the optics are less smooth than the model; the fit uses them.
     """
 
     kind: str

@@ -53,7 +53,8 @@ class SmoothFit:
             stated by the user.
         of_labels: errors by label in addition to the fitted errors; None without a search for them.
         others: sources of the other model's errors by label, before and after this model's sources.
-        unsure: captures that may have moved, or the optics are less smooth than the model; they keep their weights.
+        unsure: captures whose camera moved, or where the optics are less smooth than the model; they keep their
+            weights.
         prior: prior of coefficients and motions.
         columns: (n, 2, 6) change of the readings by the motions; None if no motions are modelled.
         start: the free part, which is subtracted in the sums.

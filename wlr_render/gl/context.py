@@ -19,6 +19,7 @@ from wlr_render.gl.native_contexts import CurrentContext
 from wlr_render.gl.ownership import ContextOwner, free_dropped
 from wlr_render.gl.programs import (
     MULTI_BIND_VERSION,
+    UNITS,
     TextureUnits,
     for_eyes,
     forget_textures,
@@ -86,6 +87,8 @@ class GlContext:
         self._objects: weakref.WeakSet[Any] = weakref.WeakSet()
         # Garbage-collected objects are freed in the next drawing block, in which this context is certainly current.
         self._ctx.gc_mode = "context_gc"
+        # ModernGL's own choice, the last unit of a fragment shader, may be one of a compute shader's for two eyes.
+        self._ctx.default_texture_unit = UNITS - 1
         self._programs: dict[tuple[object, ...], Program] = {}
         self._compute_programs: dict[tuple[object, ...], ComputeShader] = {}
         self._errors = ErrorReader(current)

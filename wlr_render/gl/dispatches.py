@@ -42,7 +42,7 @@ Work = Dispatch | Callable[[], None]
 
 
 class Dispatches:
-    """Runs dispatches at once; collects them in a block `together`, and merges those of several eyes.
+    """Runs dispatches at once or, in a block `together`, at its end, where one dispatch serves several eyes.
 
     Attributes:
         eyes: number of eyes that a shader serves at once: two, but one where the driver has too few samplers, and on

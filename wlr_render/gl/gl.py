@@ -38,7 +38,7 @@ from wlr_render.gl.native_contexts import (
     OsMesaBinding,
 )
 from wlr_render.gl.ownership import Host, HostContext, OwnContext
-from wlr_render.gl.programs import GLSL_VERSION, UNITS
+from wlr_render.gl.programs import GLSL_VERSION
 from wlr_render.gl.programs import bind_textures as bind_textures
 from wlr_render.gl.programs import floats as floats
 from wlr_render.gl.programs import set_matrix as set_matrix
@@ -245,8 +245,6 @@ def _in_host(host: CurrentContext, caller: moderngl.Context | None) -> GlContext
         host.function("glBindFramebuffer", *[ctypes.c_uint] * 2)(_FRAMEBUFFER, 0)
         ctx = moderngl.create_context(require=GLSL_VERSION, context=loader)
         ErrorReader(host).take()  # ModernGL's initialisation may cause errors, which are not the host's
-    # By default, ModernGL makes textures on its last unit.
-    ctx.default_texture_unit = UNITS - 1
     return GlContext(ctx, host, HostContext(ctx, host), caller, host_is_clean=True)
 
 

@@ -116,7 +116,7 @@ class _Uniforms:
         return found
 
     def set(self, program: Any, values: dict[str, Any]) -> None:
-        """Set uniforms to values as of `set_uniforms`; skip those that the compiler has removed."""
+        """Set uniforms, see `set_uniforms`; skip uniforms that the compiler has removed."""
         if values.items() <= self._written.items():
             return
         for name, value in values.items():

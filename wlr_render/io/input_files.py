@@ -182,7 +182,7 @@ def shown(value: object, quoted: bool = True) -> str:
 def near_spelling(name: str, others: Iterable[str]) -> str | None:
     """Return the key or column that is spelled most like `name`, to be suggested for it; None if none is near.
 
-    Keys of another axis are not suggested: v_axis is no misspelled u_axis.
+    Keys of another axis are not suggested: v_axis is not a misspelled u_axis.
     """
     axes = _AXES.findall(name)
     of_same_axes = [other for other in others if not axes or _AXES.findall(other) in ([], axes)]

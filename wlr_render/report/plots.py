@@ -25,7 +25,7 @@ _DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 
 
 def axis(title: str, log: bool = False) -> dict[str, Any]:
-    """Return the layout of an axis: its title with unit, beside the numbers however long they are, and its scale."""
+    """Return the layout of an axis: its scale, and its title with unit at a fixed distance from the numbers."""
     return {
         "title": {"text": title, "font": {"size": 12}, "standoff": _STANDOFF_PX},
         **({"type": "log"} if log else {}),

@@ -284,7 +284,7 @@ class GlBackend:
                 yield
         except BaseException:
             for eye in self.eyes.values():
-                eye.forget()  # what was dropped with the error
+                eye.forget()  # the error has dropped dispatches that the eye takes for done
             raise
 
     @contextlib.contextmanager

@@ -140,7 +140,7 @@ class GlWarp:
         insets: Sequence[WarpedPicture] = (),
         backdrop: Backdrop | None = None,
     ) -> GpuWarped:
-        """Draw the display image and leave it on the GPU.
+        """Draw the display image and leave it on the GPU; in a block `Dispatches.together`, at the block's end.
 
         Args:
             image: image in this object's context.
@@ -177,7 +177,7 @@ class GlWarp:
         insets: Sequence[WarpedPicture] = (),
         backdrop: Backdrop | None = None,
     ) -> None:
-        """Draw the colour alone into a caller's framebuffer; for arguments and errors see `draw`."""
+        """Draw the colour alone into a caller's framebuffer; see `draw`."""
         with self._context.drawing():
             pictures = [WarpedPicture(image, samples_per_axis), *insets]
             drawn = pictures, ray_maps, image_from_ray_map
@@ -262,7 +262,7 @@ class GlWarp:
         return cells
 
     def _fills(self, target: WarpTarget | gl.RenderTarget, warp_grid: WarpGrid, overlays: bool) -> list[_Fill]:
-        """Return what draws to a target: for each kind of cells, or for both; the last follows depth."""
+        """Return functions that draw to a target: one per kind of cells, or one for both; the last follows depth."""
         if isinstance(target, gl.RenderTarget):
             if self._context.computes:
                 if overlays not in self._passes:

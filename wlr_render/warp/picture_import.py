@@ -254,21 +254,8 @@ class PictureImport:
                 decodes=decodes,
             )
         gl.bind_textures(program, **textures)
-        # The scale of codes with fewer bits in a uint16 texture, in which 65535 is read as 1.
-        is_uint16 = isinstance(colour.texture, gl.Texture) and colour.texture.dtype == "nu2"
-        of_largest = 65535 / ((1 << stored_colour.bits) - 1) if is_uint16 else 1.0
         gl.set_uniforms(
-            program,
-            size_px=colour.size_px,
-            firsts_px=(*colour.first_px, *depth.first_px),
-            layers=(float(colour.layer or 0), float(depth.layer or 0)),
-            bottom_first=rows is Rows.BOTTOM_FIRST,
-            scale=(*[of_largest] * 3, of_largest if stored_colour.alpha else 0.0),
-            opaque=0.0 if stored_colour.alpha else 1.0,
-            in_metres=stored.kind is DepthKind.METRES,
-            inverse_depth_of_0_and_1=stored.inverse_of_0_and_1,
-            limits=stored.limits,
-            nothing=stored.nothing,
+            program, bottom_first=rows is Rows.BOTTOM_FIRST, **_storage(colour, depth, stored, stored_colour)
         )
         units = range(len(given) if any(each.is_callers or each.is_srgb for each in given) else 0)
         for unit in units:
@@ -281,6 +268,24 @@ class PictureImport:
 
 def _own(texture: gl.Texture) -> Source:
     return Source(texture, texture.size, is_8_bit=texture.dtype in ("f1", "nu1"), is_srgb=gl.is_srgb(texture))
+
+
+def _storage(colour: Source, depth: Source, stored: StoredDepth, stored_colour: StoredColour) -> dict[str, Any]:
+    """Return uniforms: where and how the colours and the depth are stored."""
+    # The scale of codes with fewer bits in a uint16 texture, in which 65535 is read as 1.
+    is_uint16 = isinstance(colour.texture, gl.Texture) and colour.texture.dtype == "nu2"
+    of_largest = 65535 / ((1 << stored_colour.bits) - 1) if is_uint16 else 1.0
+    return {
+        "size_px": colour.size_px,
+        "firsts_px": (*colour.first_px, *depth.first_px),
+        "layers": (float(colour.layer or 0), float(depth.layer or 0)),
+        "scale": (*[of_largest] * 3, of_largest if stored_colour.alpha else 0.0),
+        "opaque": 0.0 if stored_colour.alpha else 1.0,
+        "in_metres": stored.kind is DepthKind.METRES,
+        "inverse_depth_of_0_and_1": stored.inverse_of_0_and_1,
+        "limits": stored.limits,
+        "nothing": stored.nothing,
+    }
 
 
 def is_texture(value: Any) -> bool:

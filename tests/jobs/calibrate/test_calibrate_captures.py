@@ -367,9 +367,9 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
         (
             {"unsure": (CaptureMotion(5, 3.5e-4, 2e-4, 5.0, 1.0),)},
             "Display: the readings of set 5 lie as if its camera had stood 350 um and 200 microradians from where it "
-            "is stated (log10 odds 1 against noise and an ordinary stage): from so few positions, optics that are less "
-            "smooth than the model look the same. The model was fitted with them; take this capture again, or add "
-            "positions beside it.",
+            "is stated (log10 odds 1 against noise and an ordinary stage): these captures do not show whether it moved "
+            "or the optics are less smooth there than the model. The model was fitted with them; take this capture "
+            "again, or add positions near it.",
         ),
         (
             {"noise_arcmin": 1.0},

@@ -131,8 +131,8 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
             "the camera or the headset moved, its entry is wrong, or the optics are less smooth there than the model. "
             "The model was fitted without them."
             if each in report.moved
-            else "from so few positions, optics that are less smooth than the model look the same. The model was "
-            "fitted with them; take this capture again, or add positions beside it."
+            else "these captures do not show whether it moved or the optics are less smooth there than the model. The "
+            "model was fitted with them; take this capture again, or add positions near it."
         )
         found.append(
             f"{title}: the readings of {names[first[each.capture]]} lie as if its camera had stood "
@@ -207,7 +207,7 @@ def _motion_warnings(title: str, report: FitReport) -> list[str]:
 def fit_advice(fit: Calibration) -> list[str]:
     """Return advice against the largest source of the predicted error, and to add positions that reduce it.
 
-    Positions are the remedy for noise, so that noise is no source to advise on beside them.
+    Noise needs no advice of its own: further positions reduce it.
     """
     steps = []
     for name, report in _reports(fit):
